@@ -1,0 +1,1 @@
+"""Points in: readers, inspection, normalisation, neighbours."""

@@ -1,0 +1,203 @@
+"""All parameters of a reconstruction: small frozen objects that check themselves.
+
+Lengths are in units of the normalised cloud (largest extent 1) unless said otherwise.
+This module imports no torch, so that a client or a request schema can use it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+from udflow.errors import InvalidConfig
+
+MAX_RESOLUTION = 1024
+Extractor = Literal["edges", "cap"]
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise InvalidConfig(message)
+
+
+class _Strict:
+    """Unknown keys are refused wherever pydantic builds one of these objects."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+
+@dataclass(frozen=True)
+class FlowConfig(_Strict):
+    """Trajectories. steps: K of the paper's time schedule."""
+
+    steps: int = 5
+
+    def __post_init__(self) -> None:
+        _require(1 <= self.steps <= 100, f"flow.steps is {self.steps}; choose 1 to 100 (paper: 5)")
+
+
+@dataclass(frozen=True)
+class SplineConfig(_Strict):
+    """The spline energy and its linear solve.
+
+    resolution: cells of the finest grid along the largest extent; None chooses it from the
+        estimated sample spacing.
+    smoothness: weight of the third differences; None chooses it from the estimated noise.
+    """
+
+    resolution: int | None = None
+    smoothness: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.resolution is not None:
+            _require(
+                8 <= self.resolution <= 512,
+                f"spline.resolution is {self.resolution}; choose 8 to 512, or null for automatic",
+            )
+        if self.smoothness is not None:
+            _require(
+                0.0 < self.smoothness <= 1e3,
+                f"spline.smoothness is {self.smoothness}; choose a positive number up to 1000, "
+                "or null for automatic",
+            )
+
+
+@dataclass(frozen=True)
+class DensifyConfig(_Strict):
+    """Iterative densification, equation (9).
+
+    target_points: stop at this many points; clouds that have as many are left alone.
+    points_per_round: points added before the field is fitted again.
+    threshold: epsilon, keep a projected point only where the field is below it.
+    """
+
+    target_points: int = 30_000
+    points_per_round: int = 2_000
+    threshold: float = 0.005
+
+    def __post_init__(self) -> None:
+        _require(
+            0 <= self.target_points <= 5_000_000,
+            f"densify.target_points is {self.target_points}; choose 0 (off) to 5000000",
+        )
+        _require(
+            100 <= self.points_per_round <= 1_000_000,
+            f"densify.points_per_round is {self.points_per_round}; choose 100 to 1000000",
+        )
+        _require(
+            0.0 < self.threshold <= 0.1,
+            f"densify.threshold is {self.threshold}; choose a length above 0 and up to 0.1 "
+            "(paper: 0.005)",
+        )
+
+
+@dataclass(frozen=True)
+class ExtractConfig(_Strict):
+    """From field to mesh.
+
+    resolution: cells along the largest extent.
+    extractor: "edges" decides once per grid edge and closes up; "cap" is the paper's per-cell
+        marching, kept for its protocol.
+    """
+
+    resolution: int = 256
+    extractor: Extractor = "edges"
+
+    def __post_init__(self) -> None:
+        _require(
+            16 <= self.resolution <= MAX_RESOLUTION,
+            f"extract.resolution is {self.resolution}; choose 16 to {MAX_RESOLUTION}",
+        )
+        _require(
+            self.extractor in ("edges", "cap"),
+            f'extract.extractor is "{self.extractor}"; choose "edges" or "cap"',
+        )
+
+
+@dataclass(frozen=True)
+class Config(_Strict):
+    """Everything that decides a reconstruction. The same cloud, config and machine give the
+    same mesh."""
+
+    preset: str = "fast"
+    flow: FlowConfig = field(default_factory=FlowConfig)
+    spline: SplineConfig = field(default_factory=SplineConfig)
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    extract: ExtractConfig = field(default_factory=ExtractConfig)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _require(
+            self.preset in PRESET_NAMES,
+            f'unknown preset "{self.preset}"; choose one of: {", ".join(PRESET_NAMES)}',
+        )
+        _require(0 <= self.seed < 2**63, f"seed is {self.seed}; choose 0 to 2^63 - 1")
+
+
+PRESET_NAMES = ("fast",)
+
+
+def preset(name: str) -> Config:
+    """The configuration of a preset.
+
+    Raises:
+        InvalidConfig: there is no preset of this name.
+    """
+    return Config(preset=name)
+
+
+def presets() -> dict[str, Config]:
+    """All presets by name."""
+    return {name: preset(name) for name in PRESET_NAMES}
+
+
+def to_dict(config: Config) -> dict[str, Any]:
+    """The configuration as plain JSON values."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(values: dict[str, Any]) -> Config:
+    """A configuration from plain values: the preset's, changed where `values` says so.
+
+    Raises:
+        InvalidConfig: an unknown key, a wrong type or a value out of range.
+    """
+    name = values.get("preset", "fast")
+    _require(isinstance(name, str), "preset must be a string")
+    return _updated(preset(name), values, "")
+
+
+def _updated(base: Any, values: dict[str, Any], path: str) -> Any:
+    known = {f.name: getattr(base, f.name) for f in dataclasses.fields(base)}
+    changes: dict[str, Any] = {}
+    for key, value in values.items():
+        where = f"{path}{key}"
+        _require(
+            key in known,
+            f'unknown parameter "{where}"; known here: {", ".join(sorted(known))}',
+        )
+        current = known[key]
+        if dataclasses.is_dataclass(current):
+            _require(isinstance(value, dict), f"{where} must be an object")
+            changes[key] = _updated(current, value, f"{where}.")
+        else:
+            changes[key] = _checked_scalar(base, key, value, where)
+    return dataclasses.replace(base, **changes)
+
+
+def _checked_scalar(base: Any, key: str, value: Any, where: str) -> Any:
+    annotation = str({f.name: f.type for f in dataclasses.fields(base)}[key])
+    if value is None:
+        _require("None" in annotation, f"{where} must not be null")
+        return None
+    if annotation.startswith("int"):
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        _require(whole, f"{where} must be a whole number, not {value!r}")
+    elif annotation.startswith("float"):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        _require(number, f"{where} must be a number, not {value!r}")
+        return float(value)
+    else:
+        _require(isinstance(value, str), f"{where} must be a string, not {value!r}")
+    return value

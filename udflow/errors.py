@@ -1,0 +1,58 @@
+"""Every error that udflow raises on purpose. Each message says the cause and the remedy."""
+
+
+class UdflowError(Exception):
+    """Base of all errors raised on purpose by udflow.
+
+    `code` is stable and made for programs; the message is made for people.
+    """
+
+    code = "udflow_error"
+
+
+class InvalidCloud(UdflowError, ValueError):
+    """The point cloud cannot be read or cannot be reconstructed."""
+
+    code = "invalid_cloud"
+
+
+class UnknownFormat(InvalidCloud):
+    """The bytes are of no format that udflow reads."""
+
+    code = "unknown_format"
+
+
+class InvalidConfig(UdflowError, ValueError):
+    """A parameter lies outside its range, or parameters contradict each other."""
+
+    code = "invalid_config"
+
+
+class InvalidQuery(UdflowError, ValueError):
+    """Query points are not a finite (n, 3) array."""
+
+    code = "invalid_query"
+
+
+class Diverged(UdflowError, ArithmeticError):
+    """A fit produced values that are not finite."""
+
+    code = "diverged"
+
+
+class EmptySurface(UdflowError):
+    """The field has no surface inside the box at this resolution."""
+
+    code = "empty_surface"
+
+
+class BadField(UdflowError, ValueError):
+    """A stored field is damaged, incomplete or of an unknown version."""
+
+    code = "bad_field"
+
+
+class Canceled(UdflowError):
+    """The caller asked to stop."""
+
+    code = "canceled"

@@ -1,0 +1,1 @@
+"""Fields that answer: where is the surface from here?"""

@@ -1,0 +1,1 @@
+"""From field to mesh: band, crossings, dual vertices, cleaning, colour, export."""
