@@ -1,0 +1,1 @@
+"""The contract between asker (service) and worker: records, events, store and dispatch."""

@@ -1,0 +1,32 @@
+"""Every key that udflow keeps in Redis, with its lifetime. RQ's own keys begin with `rq:`."""
+
+EVENTS_KEPT = 2000  # about this many events a job stay readable
+EVENTS_LIFE_S = 24 * 3600  # how long after the end they stay
+IDEMPOTENCY_LIFE_S = 24 * 3600
+TOMBSTONE_LIFE_S = 30 * 24 * 3600
+RECORD_MARGIN_S = 24 * 3600  # Redis drops a record this long after the sweeper should have
+
+INDEX = "udflow:jobs:all"  # sorted set, ids in creation order; member leaves with its record
+QUEUED = "udflow:jobs:queued"  # sorted set by creation time; member leaves when claimed
+LEASES = "udflow:jobs:leases"  # sorted set by end of lease; member leaves at the terminal state
+EXPIRING = "udflow:jobs:expiring"  # sorted set by end of retention; member leaves with its record
+
+
+def job(job_id: str) -> str:
+    """Hash, the job record: from creation until its retention ends."""
+    return f"udflow:job:{job_id}"
+
+
+def events(job_id: str) -> str:
+    """Stream of about EVENTS_KEPT: from creation until EVENTS_LIFE_S after the end."""
+    return f"udflow:job:{job_id}:events"
+
+
+def idempotency(key_digest: str) -> str:
+    """String, digest of the body and job id: IDEMPOTENCY_LIFE_S."""
+    return f"udflow:idempotency:{key_digest}"
+
+
+def tombstone(some_id: str) -> str:
+    """String, marks a deleted scan or job: TOMBSTONE_LIFE_S."""
+    return f"udflow:gone:{some_id}"

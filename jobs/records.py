@@ -1,0 +1,365 @@
+"""The job records: the truth about every job, changed only by compare-and-set."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import redis
+
+from jobs import keys, scripts
+from jobs.errors import IdempotencyConflict, QueueFull, UnknownId
+from jobs.ids import first_id
+from jobs.spec import Artifact, JobError, JobRecord, JobSpec, JobState
+
+MAX_CRASHES = 3
+_POISON = JobError(
+    "poison",
+    f"the worker died {MAX_CRASHES} times on this job, so it is not tried again; a smaller "
+    "extract.resolution or densify.target_points may help",
+)
+_WAITED = JobError(
+    "expired", "no worker was free before the longest allowed wait was over; submit again later"
+)
+
+
+@dataclass(frozen=True)
+class Idempotency:
+    """A caller's key for one request, and the digest of the request's body."""
+
+    key: str
+    fingerprint: str
+
+    @classmethod
+    def of(cls, key: str, body: Any) -> Idempotency:
+        """From the header's value and any JSON values."""
+        text = json.dumps(body, sort_keys=True)
+        return cls(key, hashlib.sha256(text.encode()).hexdigest())
+
+
+@dataclass(frozen=True)
+class Created:
+    """replayed: the job existed already, because the same request came twice."""
+
+    record: JobRecord
+    replayed: bool
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A record, and the id of the last event that it already includes."""
+
+    record: JobRecord
+    last_event: str
+
+
+@dataclass(frozen=True)
+class Page:
+    """Newest first. next: pass as `before` for the following page; None at the end."""
+
+    records: tuple[JobRecord, ...]
+    next: str | None
+
+
+class JobRecords:
+    """The records in one Redis.
+
+    connection: with text answers (`Settings.connect`); lease_s: how long a claim lasts unrenewed.
+    All methods raise redis.exceptions.RedisError when Redis does not answer.
+    """
+
+    def __init__(self, connection: redis.Redis, lease_s: float = 20.0) -> None:
+        self._redis: Any = connection  # typed for bytes; ours answers with text
+        self.lease_s = lease_s
+        self._scripts: dict[str, Any] = {}
+
+    # asked by the service
+
+    def create(
+        self,
+        spec: JobSpec,
+        idempotency: Idempotency | None = None,
+        queue_limit: int | None = None,
+    ) -> Created:
+        """Store a new job as queued. The same spec or idempotency key again changes nothing.
+
+        Raises:
+            IdempotencyConflict: the key came before with another body.
+            QueueFull: queue_limit jobs wait already.
+            UnknownId: the job that the key made has been deleted since.
+        """
+        fields = _initial_fields(spec)
+        digest = idempotency.fingerprint if idempotency else ""
+        key = hashlib.sha256(idempotency.key.encode()).hexdigest() if idempotency else "none"
+        outcome, job_id = self._run(
+            scripts.CREATE,
+            spec.id,
+            digest,
+            "" if queue_limit is None else queue_limit,
+            fields["created_at"],
+            *_flat(fields),
+            extra_key=keys.idempotency(key),
+        )
+        if outcome == "conflict":
+            raise IdempotencyConflict(
+                f"this idempotency key was used with another request, which made {job_id}; "
+                "use a new key for a new request"
+            )
+        if outcome == "full":
+            raise QueueFull(f"{queue_limit} jobs are waiting already; try again later")
+        record = self.get(job_id)
+        if record is None:
+            raise UnknownId(f"this request made {job_id}, which has been deleted since")
+        return Created(record, outcome == "replayed")
+
+    def get(self, job_id: str) -> JobRecord | None:
+        """The record, None if there is none (any more)."""
+        fields = self._redis.hgetall(keys.job(job_id))
+        return _record(fields) if "state" in fields else None
+
+    def snapshot(self, job_id: str) -> Snapshot | None:
+        """The record and its place in the event stream, read at one moment."""
+        with self._redis.pipeline(transaction=True) as pipe:
+            pipe.hgetall(keys.job(job_id))
+            pipe.xrevrange(keys.events(job_id), count=1)
+            fields, last = pipe.execute()
+        if "state" not in fields:
+            return None
+        return Snapshot(_record(fields), last[0][0] if last else "0-0")
+
+    def is_gone(self, some_id: str) -> bool:
+        """Whether a job or scan existed and was deleted or has expired."""
+        return bool(self._redis.exists(keys.tombstone(some_id)))
+
+    def mark_gone(self, some_id: str) -> None:
+        """Remember that a scan was deleted or has expired."""
+        self._redis.set(keys.tombstone(some_id), "1", ex=keys.TOMBSTONE_LIFE_S)
+
+    def page(
+        self,
+        limit: int = 50,
+        before: str | None = None,
+        *,
+        state: JobState | None = None,
+        scan_id: str | None = None,
+        created_after: float | None = None,
+    ) -> Page:
+        """Jobs, newest first. before: `Page.next` of the previous page; times in Unix seconds."""
+        oldest = "-" if created_after is None else f"[{first_id('job', created_after)}"
+        found: list[JobRecord] = []
+        while True:
+            newest = "+" if before is None else f"({before}"
+            ids = self._redis.zrevrangebylex(keys.INDEX, newest, oldest, start=0, num=100)
+            for record in self._fetch(ids):
+                if state in (None, record.state) and scan_id in (None, record.scan_id):
+                    if len(found) == limit:
+                        return Page(tuple(found), found[-1].id)
+                    found.append(record)
+            if len(ids) < 100:
+                return Page(tuple(found), None)
+            before = ids[-1]
+
+    def request_cancel(self, job_id: str) -> JobRecord | None:
+        """Ask to stop. A waiting job is canceled at once, a running one becomes canceling, a
+        finished one stays. The record afterwards, None if there is none."""
+        self._run(scripts.CANCEL, job_id)
+        return self.get(job_id)
+
+    def delete(self, job_id: str, force: bool = False) -> bool:
+        """Remove the record and its events, leaving a tombstone. False: it is still queued or
+        running and force was not given."""
+        return bool(
+            self._run(
+                scripts.DELETE,
+                job_id,
+                keys.TOMBSTONE_LIFE_S,
+                int(force),
+                extra_key=keys.tombstone(job_id),
+            )
+        )
+
+    def queue_position(self, job_id: str) -> int | None:
+        """1 for the next to start; None when it does not wait."""
+        rank = self._redis.zrank(keys.QUEUED, job_id)
+        return None if rank is None else int(rank) + 1
+
+    def queue_length(self) -> int:
+        """How many jobs wait."""
+        return int(self._redis.zcard(keys.QUEUED))
+
+    # asked by the worker; False or None means: the job is not this attempt's any more
+
+    def claim(
+        self, job_id: str, attempt: int, owner: str = "", device: str = "cpu"
+    ) -> JobRecord | None:
+        """Start a queued job. owner: unique to the process, so that a repeated call is harmless."""
+        if not self._run(scripts.CLAIM, job_id, attempt, owner, self.lease_s, device):
+            return None
+        return self.get(job_id)
+
+    def update(
+        self,
+        job_id: str,
+        attempt: int,
+        event: tuple[str, Mapping[str, Any]] | None = None,
+        **fields: Any,
+    ) -> bool:
+        """Change fields of a running job, with an event (type, data) in the same step."""
+        kind, data = (event[0], json.dumps(event[1])) if event else ("", "")
+        return bool(self._run(scripts.UPDATE, job_id, attempt, kind, data, *_flat(_texts(fields))))
+
+    def renew_lease(self, job_id: str, attempt: int) -> bool:
+        """Keep the job for another lease_s."""
+        return bool(self._run(scripts.RENEW, job_id, attempt, self.lease_s))
+
+    def finish(
+        self,
+        job_id: str,
+        attempt: int,
+        state: Literal[JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED],
+        *,
+        error: JobError | None = None,
+        outputs: Mapping[str, Artifact] | None = None,
+        warnings: Iterable[str] = (),
+    ) -> JobState | None:
+        """End a running job. The state that was reached: canceled when a cancel was asked first."""
+        values = _texts({"error": error, "outputs": outputs or {}, "warnings": list(warnings)})
+        reached = self._run(scripts.FINISH, job_id, attempt, state, *values.values())
+        return None if reached is None else JobState(reached)
+
+    # asked by the reaper and by the parent of a worker that died
+
+    def requeue(
+        self, job_id: str, attempt: int, *, crashed: bool, why: str, only_expired: bool = False
+    ) -> JobRecord | None:
+        """Take a job from an attempt that ended without a result: queue it as the next attempt,
+        or end it as canceled (a cancel was asked) or failed/poison (MAX_CRASHES reached).
+
+        only_expired: only if its lease is over. None: nothing to take, otherwise the new record.
+        """
+        poison = json.dumps(asdict(_POISON))
+        taken = self._run(
+            scripts.REQUEUE,
+            job_id,
+            attempt,
+            int(crashed),
+            int(only_expired),
+            MAX_CRASHES,
+            why,
+            poison,
+        )
+        return self.get(job_id) if taken else None
+
+    def expire_waiting(self, job_id: str, longest_wait_s: float) -> bool:
+        """End a job that has waited too long in the queue."""
+        return bool(self._run(scripts.EXPIRE, job_id, longest_wait_s, json.dumps(asdict(_WAITED))))
+
+    def queued(self) -> list[JobRecord]:
+        """All waiting jobs, next first."""
+        return self._fetch(self._redis.zrange(keys.QUEUED, 0, -1))
+
+    def active(self) -> list[JobRecord]:
+        """All running and canceling jobs."""
+        return self._fetch(self._redis.zrange(keys.LEASES, 0, -1))
+
+    def expired_leases(self) -> list[JobRecord]:
+        """Jobs whose worker has not renewed in time."""
+        ids = self._script(scripts.EXPIRED_LEASES)(keys=[keys.LEASES])
+        return self._fetch(ids)
+
+    def past_retention(self, now: float) -> list[str]:
+        """Ids of finished jobs whose time is over at Unix second `now`."""
+        found: list[str] = self._redis.zrangebyscore(keys.EXPIRING, "-inf", now)
+        return found
+
+    def _fetch(self, ids: Iterable[str]) -> list[JobRecord]:
+        with self._redis.pipeline(transaction=False) as pipe:
+            for job_id in ids:
+                pipe.hgetall(keys.job(job_id))
+            return [_record(fields) for fields in pipe.execute() if "state" in fields]
+
+    def _script(self, text: str) -> Any:
+        if text not in self._scripts:
+            self._scripts[text] = self._redis.register_script(text)
+        return self._scripts[text]
+
+    def _run(self, text: str, job_id: str, *values: Any, extra_key: str | None = None) -> Any:
+        names = [
+            keys.job(job_id),
+            keys.events(job_id),
+            keys.INDEX,
+            keys.QUEUED,
+            keys.LEASES,
+            keys.EXPIRING,
+        ]
+        if extra_key is not None:
+            names.append(extra_key)
+        return self._script(text)(keys=names, args=[job_id, *values])
+
+
+def _initial_fields(spec: JobSpec) -> dict[str, str]:
+    return _texts(
+        spec.to_dict()
+        | {"state": JobState.QUEUED, "attempt": 1, "crashes": 0, "progress": 0.0}
+        | {"round": 0, "rounds": 0, "outputs": {}, "warnings": [], "cancel_requested": False}
+    )
+
+
+def _texts(values: Mapping[str, Any]) -> dict[str, str]:
+    return {name: _text(value) for name, value in values.items()}
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, int | float):
+        return repr(value)
+    return json.dumps(value, default=asdict)
+
+
+def _flat(fields: Mapping[str, str]) -> list[str]:
+    return [text for pair in fields.items() for text in pair]
+
+
+def _record(fields: Mapping[str, str]) -> JobRecord:
+    outputs = json.loads(fields.get("outputs") or "{}")
+    error = fields.get("error")
+    return JobRecord(
+        id=fields["id"],
+        scan_id=fields["scan_id"],
+        state=JobState(fields["state"]),
+        config=json.loads(fields["config"]),
+        metadata=json.loads(fields["metadata"]),
+        created_at=float(fields["created_at"]),
+        ttl_s=float(fields["ttl_s"]),
+        attempt=int(fields["attempt"]),
+        crashes=int(fields["crashes"]),
+        stage=fields.get("stage") or None,
+        progress=float(fields["progress"]),
+        eta_s=_float(fields, "eta_s"),
+        device=fields.get("device") or None,
+        points=int(fields["points"]) if fields.get("points") else None,
+        round=int(fields["round"]),
+        rounds=int(fields["rounds"]),
+        loss=_float(fields, "loss"),
+        error=JobError(**json.loads(error)) if error else None,
+        outputs={name: Artifact(**value) for name, value in outputs.items()},
+        warnings=tuple(json.loads(fields.get("warnings") or "[]")),
+        started_at=_float(fields, "started_at"),
+        finished_at=_float(fields, "finished_at"),
+        expires_at=_float(fields, "expires_at"),
+        cancel_requested=fields["cancel_requested"] == "1",
+        cancel_requested_at=_float(fields, "cancel_requested_at"),
+    )
+
+
+def _float(fields: Mapping[str, str], name: str) -> float | None:
+    text = fields.get(name)
+    return float(text) if text else None

@@ -1,0 +1,99 @@
+"""The environment that service and worker share, and the connections made from it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import redis
+import redis.asyncio
+
+from jobs.errors import BadSetting, NoRedisServer
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the parts find each other.
+
+    data: folder for scans, results, logs, secret and the embedded Redis.
+    redis_url: None while no Redis is known; `make up` starts one and sets it.
+    secret: signs queued tasks; None means the key file in the data folder.
+    lease_s: a worker that has not renewed for so long has lost its job.
+    cancel_grace_s: a canceled job that has not stopped by itself is killed after this.
+    stall_s: a fit without any progress for so long counts as hung.
+    job_timeout_s: longest run of one attempt; queue_ttl_s: longest wait in the queue.
+    """
+
+    data: Path = Path(".udflow")
+    redis_url: str | None = None
+    secret: str | None = None
+    lease_s: float = 20.0
+    cancel_grace_s: float = 8.0
+    reaper_period_s: float = 5.0
+    stall_s: float = 300.0
+    job_timeout_s: float = 4 * 3600.0
+    queue_ttl_s: float = 24 * 3600.0
+
+    @classmethod
+    def from_env(cls, environ: Mapping[str, str] = os.environ) -> Settings:
+        """Settings from REDIS_URL and the UDFLOW_ variables.
+
+        Raises:
+            BadSetting: a duration is not a positive number.
+        """
+        durations = {
+            name: _positive(f"UDFLOW_{name.upper()}", environ)
+            for name in (
+                "lease_s",
+                "cancel_grace_s",
+                "reaper_period_s",
+                "stall_s",
+                "job_timeout_s",
+                "queue_ttl_s",
+            )
+            if f"UDFLOW_{name.upper()}" in environ
+        }
+        return cls(
+            data=Path(environ.get("UDFLOW_DATA") or ".udflow"),
+            redis_url=environ.get("REDIS_URL") or None,
+            secret=environ.get("UDFLOW_SECRET") or None,
+            **durations,
+        )
+
+    @property
+    def url(self) -> str:
+        """The URL of Redis.
+
+        Raises:
+            NoRedisServer: it is not set.
+        """
+        if self.redis_url is None:
+            raise NoRedisServer(
+                "REDIS_URL is not set, so there is no Redis to talk to; start everything with "
+                "`make up`, or set it, for example REDIS_URL=redis://127.0.0.1:6379"
+            )
+        return self.redis_url
+
+    def connect(self) -> redis.Redis:
+        """For records and events: answers are text."""
+        return redis.Redis.from_url(self.url, decode_responses=True)
+
+    def connect_async(self) -> redis.asyncio.Redis:
+        """For the API's event readers: answers are text."""
+        return redis.asyncio.Redis.from_url(self.url, decode_responses=True)
+
+    def connect_raw(self) -> redis.Redis:
+        """For RQ, which wants bytes."""
+        return redis.Redis.from_url(self.url)
+
+
+def _positive(name: str, environ: Mapping[str, str]) -> float:
+    try:
+        value = float(environ[name])
+    except ValueError as error:
+        raise BadSetting(f"{name} is {environ[name]!r}; give seconds, for example 20") from error
+    if not 0.0 < value < 1e9:
+        raise BadSetting(f"{name} is {environ[name]!r}; give a positive number of seconds")
+    return value

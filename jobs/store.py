@@ -1,0 +1,309 @@
+"""Scans and results as plain files. A name that is visible is whole: everything is written under a
+temporary name in the same folder, synced, renamed, and the folder synced.
+
+    incoming/                      uploads on their way
+    scans/<id>/data, scan.json     the bytes as uploaded, and what inspection found
+    scans/by-sha256/<digest>       the id of the scan with these bytes
+    jobs/<id>/job.json             what was asked for
+    jobs/<id>/a<attempt>/<name>    results of one attempt; the job record says which one counts
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from jobs.ids import is_id, new_id, require_id
+from jobs.spec import Artifact, JobSpec
+
+_TEMPORARY = ".part-"
+_DIGEST_CHARACTERS = frozenset("0123456789abcdef")
+
+
+@dataclass(frozen=True)
+class AddedScan:
+    """created: False when a scan with the same bytes was there already."""
+
+    id: str
+    created: bool
+
+
+class Upload:
+    """A file on its way in: write pieces, then hand it to `FileStore.add_scan`.
+
+    Leaving the `with` block removes whatever was not added. size: bytes so far.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.size = 0
+        self._hash = hashlib.sha256()
+        self._file = path.open("xb")
+
+    def write(self, piece: bytes) -> None:
+        """Append. Raises OSError (errno ENOSPC when the disk is full)."""
+        self._file.write(piece)
+        self._hash.update(piece)
+        self.size += len(piece)
+
+    def close(self) -> str:
+        """Bring the bytes to disk. Their SHA-256, hexadecimal."""
+        if not self._file.closed:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+        return self._hash.hexdigest()
+
+    def __enter__(self) -> Upload:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+        self.path.unlink(missing_ok=True)
+
+
+class FileStore:
+    """Scans and job results under one folder. Ids are checked before they become paths."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.resolve()
+        for folder in ("incoming", "scans/by-sha256", "jobs"):
+            (self.root / folder).mkdir(parents=True, exist_ok=True)
+
+    # scans
+
+    def receive(self) -> Upload:
+        """Begin an upload."""
+        return Upload(self.root / "incoming" / f"{_TEMPORARY}{secrets.token_hex(8)}")
+
+    def add_scan(self, upload: Upload, manifest: dict[str, Any]) -> AddedScan:
+        """Turn an upload into a scan, or find the one that has the same bytes.
+
+        manifest: JSON values, stored with `id`, `sha256`, `bytes` and `created_at` added.
+        """
+        digest = upload.close()
+        known = self.find_scan(digest)
+        if known is not None:
+            return AddedScan(known, created=False)
+        scan_id = new_id("scan")
+        folder = self._scan_folder(scan_id)
+        folder.mkdir()
+        os.replace(upload.path, folder / "data")
+        about = {"id": scan_id, "sha256": digest, "bytes": upload.size, "created_at": time.time()}
+        write_json(folder / "scan.json", manifest | about)
+        owner = self._claim_digest(digest, scan_id)
+        if owner != scan_id:  # the same bytes came in twice at once
+            shutil.rmtree(folder, ignore_errors=True)
+        return AddedScan(owner, created=owner == scan_id)
+
+    def find_scan(self, digest: str) -> str | None:
+        """The id of the scan whose bytes have this SHA-256."""
+        if len(digest) != 64 or not _DIGEST_CHARACTERS.issuperset(digest):
+            return None
+        with suppress(FileNotFoundError):
+            scan_id = self._digest_file(digest).read_text()
+            if self.read_scan(scan_id) is not None:
+                return scan_id
+        return None
+
+    def scan_path(self, scan_id: str) -> Path:
+        """The bytes as uploaded. The file is missing if there is no such scan."""
+        return self._scan_folder(scan_id) / "data"
+
+    def read_scan(self, scan_id: str) -> dict[str, Any] | None:
+        """The manifest, None if there is no such scan.
+
+        Raises:
+            UnknownId: not the form of a scan id.
+        """
+        manifest: dict[str, Any] | None = read_json(self._scan_folder(scan_id) / "scan.json")
+        return manifest
+
+    def scans(self) -> Iterator[str]:
+        """All scan ids, oldest first."""
+        names = sorted(entry.name for entry in os.scandir(self.root / "scans"))
+        return (name for name in names if is_id("scan", name))
+
+    def delete_scan(self, scan_id: str) -> bool:
+        """Remove a scan. False: there was none."""
+        manifest = self.read_scan(scan_id)
+        if manifest is None:
+            return False
+        folder = self._scan_folder(scan_id)
+        (folder / "scan.json").unlink(missing_ok=True)  # first: a half-removed scan is no scan
+        digest_file = self._digest_file(manifest["sha256"])
+        with suppress(FileNotFoundError):
+            if digest_file.read_text() == scan_id:
+                digest_file.unlink()
+        shutil.rmtree(folder, ignore_errors=True)
+        return True
+
+    # jobs
+
+    def write_job(self, spec: JobSpec) -> None:
+        """Keep what was asked for, so that the queue can be rebuilt without Redis."""
+        folder = self._job_folder(spec.id)
+        folder.mkdir(exist_ok=True)
+        write_json(folder / "job.json", spec.to_dict())
+
+    def read_job(self, job_id: str) -> JobSpec | None:
+        """What was asked for, None if there is no such job."""
+        values = read_json(self._job_folder(job_id) / "job.json")
+        return None if values is None else JobSpec.from_dict(values)
+
+    def jobs(self) -> Iterator[str]:
+        """Ids of all jobs with files, oldest first."""
+        names = sorted(entry.name for entry in os.scandir(self.root / "jobs"))
+        return (name for name in names if is_id("job", name))
+
+    def put_artifact(
+        self, job_id: str, attempt: int, name: str, write: Callable[[Path], object]
+    ) -> Artifact:
+        """Let `write` fill a file, and make it visible whole under `name`.
+
+        The path it gets ends with `name`, so that writers may choose the format by it.
+        """
+        folder = self._job_folder(job_id) / f"a{attempt}"
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / name
+        with _replacing(path) as temporary:
+            write(temporary)
+            size, digest = _measure(temporary)
+        return Artifact(str(path.relative_to(self.root)), size, digest)
+
+    def artifact_path(self, artifact: Artifact) -> Path:
+        """Where an artifact of a job record lies.
+
+        Raises:
+            ValueError: the path leaves the store.
+        """
+        path = (self.root / artifact.path).resolve()
+        if not path.is_relative_to(self.root / "jobs"):
+            raise ValueError(f"artifact path {artifact.path!r} leads out of the store")
+        return path
+
+    def keep_only_attempt(self, job_id: str, attempt: int) -> None:
+        """Remove what other attempts left behind. attempt 0: remove all results."""
+        for folder in self._job_folder(job_id).glob("a*"):
+            if folder.name != f"a{attempt}":
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def delete_job(self, job_id: str) -> bool:
+        """Remove a job's files. False: there were none."""
+        folder = self._job_folder(job_id)
+        (folder / "job.json").unlink(missing_ok=True)  # first: it must not come back
+        existed = folder.exists()
+        shutil.rmtree(folder, ignore_errors=True)
+        return existed
+
+    def sweep_temporary(self, older_than_s: float) -> int:
+        """Remove temporary files that nobody finished. How many there were."""
+        limit = time.time() - older_than_s
+        removed = 0
+        for path in self.root.rglob(f"{_TEMPORARY}*"):
+            with suppress(FileNotFoundError):
+                if path.stat().st_mtime < limit:
+                    path.unlink()
+                    removed += 1
+        return removed
+
+    def free_bytes(self) -> int:
+        """Room left on the disk."""
+        return shutil.disk_usage(self.root).free
+
+    def _scan_folder(self, scan_id: str) -> Path:
+        return self.root / "scans" / require_id("scan", scan_id)
+
+    def _job_folder(self, job_id: str) -> Path:
+        return self.root / "jobs" / require_id("job", job_id)
+
+    def _digest_file(self, digest: str) -> Path:
+        return self.root / "scans" / "by-sha256" / digest
+
+    def _claim_digest(self, digest: str, scan_id: str) -> str:
+        """Name the scan for these bytes, unless another one is named already."""
+        path = self._digest_file(digest)
+        while True:
+            if create_exclusive(path, scan_id.encode()):
+                return scan_id
+            owner = self.find_scan(digest)
+            if owner is not None:
+                return owner
+            path.unlink(missing_ok=True)  # it named a scan that was removed
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Store JSON values atomically."""
+    with _replacing(path) as temporary:
+        temporary.write_text(json.dumps(values, allow_nan=False))
+
+
+def read_json(path: Path) -> Any:
+    """Stored JSON values, None if there is no such file."""
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+
+
+def create_exclusive(path: Path, content: bytes, mode: int = 0o644) -> bool:
+    """Create a file whole, with its content; False if it exists already."""
+    temporary = _temporary_beside(path)
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.link(temporary, path)
+    except FileExistsError:
+        return False
+    finally:
+        temporary.unlink()
+    _sync(path.parent)
+    return True
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    temporary = _temporary_beside(path)
+    try:
+        yield temporary
+        _sync(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _sync(path.parent)
+
+
+def _temporary_beside(path: Path) -> Path:
+    return path.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}-{path.name}")
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _measure(path: Path) -> tuple[int, str]:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return file.tell(), digest

@@ -1,0 +1,39 @@
+"""Accepting a job, in the order that loses none."""
+
+from __future__ import annotations
+
+from jobs.dispatch import Dispatcher
+from jobs.records import Created, Idempotency, JobRecords
+from jobs.spec import JobSpec
+from jobs.store import FileStore
+
+
+def submit(
+    spec: JobSpec,
+    records: JobRecords,
+    store: FileStore,
+    dispatcher: Dispatcher,
+    *,
+    idempotency: Idempotency | None = None,
+    queue_limit: int | None = None,
+) -> Created:
+    """Store the job on disk, then as a record, then offer it to the workers.
+
+    When only the last step fails the reaper repeats it. A job that was there already (the same
+    idempotency key) is given back unchanged.
+
+    Raises:
+        IdempotencyConflict: the key came before with another body.
+        QueueFull: queue_limit jobs wait already.
+    """
+    store.write_job(spec)
+    try:
+        created = records.create(spec, idempotency, queue_limit)
+    except BaseException:
+        store.delete_job(spec.id)
+        raise
+    if created.record.id != spec.id:
+        store.delete_job(spec.id)
+    if not created.record.is_terminal:
+        dispatcher.enqueue(created.record.id, created.record.attempt)
+    return created
