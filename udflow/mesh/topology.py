@@ -1,0 +1,78 @@
+"""Edges and parts of triangles: what cleaning, trimming and orientation ask for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+
+@dataclass(frozen=True)
+class Edges:
+    """The undirected edges of triangles, each with the triangle sides that lie on it.
+
+    Side 3f + c of face f runs from its corner c to its corner c + 1.
+
+    Attributes:
+        ends: (e, 2) int64 vertices, the lower first.
+        first: (e + 1,) int64, edge i owns sides[first[i] : first[i + 1]].
+        sides: (3f,) int64.
+    """
+
+    ends: NDArray[np.int64]
+    first: NDArray[np.int64]
+    sides: NDArray[np.int64]
+
+    @property
+    def count(self) -> NDArray[np.int64]:
+        """(e,) number of faces at each edge: 1 on a border, 2 inside, more where sheets join."""
+        return np.diff(self.first)
+
+    def sides_where(self, count: int) -> NDArray[np.int64]:
+        """(k, count) sides of the edges that have exactly `count` faces."""
+        start = self.first[:-1][self.count == count]
+        return self.sides[start[:, None] + np.arange(count)]
+
+
+def edges_of(faces: NDArray[np.int64]) -> Edges:
+    """The edges of (f, 3) faces."""
+    start, end = side_ends(faces, np.arange(faces.size))
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    key = low * (int(faces.max(initial=0)) + 1) + high
+    sides = np.argsort(key, kind="stable")
+    ordered = key[sides]
+    is_first = np.ones(len(ordered), dtype=bool)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    first = np.flatnonzero(is_first)
+    leader = sides[first]
+    ends = np.stack([low[leader], high[leader]], axis=1)
+    return Edges(ends, np.append(first, len(ordered)), sides)
+
+
+def side_ends(
+    faces: NDArray[np.int64], sides: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Start and end vertex of each side."""
+    corners = faces.reshape(-1)
+    return corners[sides], corners[sides - sides % 3 + (sides + 1) % 3]
+
+
+def parts(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """(count,) number of the connected part that each node is in, given (p, 2) connected pairs."""
+    weight = np.ones(len(pairs), dtype=np.int8)
+    graph = coo_matrix((weight, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    return np.asarray(label, dtype=np.int64)
+
+
+def compacted(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices and faces without the vertices that no face uses; order is kept."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces.reshape(-1)] = True
+    number = np.cumsum(used) - 1
+    return vertices[used], number[faces]
