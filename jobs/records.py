@@ -211,6 +211,10 @@ class JobRecords:
         kind, data = (event[0], json.dumps(event[1])) if event else ("", "")
         return bool(self._run(scripts.UPDATE, job_id, attempt, kind, data, *_flat(_texts(fields))))
 
+    def is_canceling(self, job_id: str) -> bool:
+        """Whether a running job was asked to stop."""
+        return bool(self._redis.hget(keys.job(job_id), "state") == JobState.CANCELING)
+
     def renew_lease(self, job_id: str, attempt: int) -> bool:
         """Keep the job for another lease_s."""
         return bool(self._run(scripts.RENEW, job_id, attempt, self.lease_s))
@@ -256,6 +260,11 @@ class JobRecords:
     def expire_waiting(self, job_id: str, longest_wait_s: float) -> bool:
         """End a job that has waited too long in the queue."""
         return bool(self._run(scripts.EXPIRE, job_id, longest_wait_s, json.dumps(asdict(_WAITED))))
+
+    def now(self) -> float:
+        """Unix seconds by the clock of Redis."""
+        seconds, microseconds = self._redis.time()
+        return float(seconds) + float(microseconds) / 1e6
 
     def queued(self) -> list[JobRecord]:
         """All waiting jobs, next first."""
@@ -357,6 +366,7 @@ def _record(fields: Mapping[str, str]) -> JobRecord:
         expires_at=_float(fields, "expires_at"),
         cancel_requested=fields["cancel_requested"] == "1",
         cancel_requested_at=_float(fields, "cancel_requested_at"),
+        owner=fields.get("owner") or None,
     )
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import redis
 import redis.asyncio
@@ -76,9 +77,9 @@ class Settings:
             )
         return self.redis_url
 
-    def connect(self) -> redis.Redis:
-        """For records and events: answers are text."""
-        return redis.Redis.from_url(self.url, decode_responses=True)
+    def connect(self, **options: Any) -> redis.Redis:
+        """For records and events: answers are text. options: as for `redis.Redis`."""
+        return redis.Redis.from_url(self.url, decode_responses=True, **options)
 
     def connect_async(self) -> redis.asyncio.Redis:
         """For the API's event readers: answers are text."""

@@ -91,6 +91,7 @@ class JobRecord:
     progress: 0..1 of this attempt; eta_s: seconds left, None until it can be told.
     points, round, rounds, loss: from the running fit (densified points so far, residual).
     outputs: finished files by name, for example "mesh.ply"; empty until the job has succeeded.
+    owner: the process that runs it.
     expires_at: when the job and its files are removed; None until the end.
     """
 
@@ -118,6 +119,7 @@ class JobRecord:
     expires_at: float | None = None
     cancel_requested: bool = False
     cancel_requested_at: float | None = None
+    owner: str | None = None
     ttl_s: float = DEFAULT_TTL_S
 
     @property

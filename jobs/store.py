@@ -197,8 +197,12 @@ class FileStore:
             raise ValueError(f"artifact path {artifact.path!r} leads out of the store")
         return path
 
+    def delete_attempt(self, job_id: str, attempt: int) -> None:
+        """Remove what one attempt has written."""
+        shutil.rmtree(self._job_folder(job_id) / f"a{attempt}", ignore_errors=True)
+
     def keep_only_attempt(self, job_id: str, attempt: int) -> None:
-        """Remove what other attempts left behind. attempt 0: remove all results."""
+        """Remove what other attempts left behind."""
         for folder in self._job_folder(job_id).glob("a*"):
             if folder.name != f"a{attempt}":
                 shutil.rmtree(folder, ignore_errors=True)

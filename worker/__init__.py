@@ -1,0 +1,1 @@
+"""The workshop: processes that take jobs from the queue and reconstruct."""

@@ -1,0 +1,29 @@
+"""`python -m worker`: takes jobs from the queue, one at a time, until SIGTERM."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+import redis
+
+from jobs.settings import Settings
+from udflow.errors import UdflowError
+from worker.rq_worker import FitWorker
+
+
+def main() -> int:
+    """The exit code."""
+    logging.basicConfig(
+        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    )
+    try:
+        FitWorker(Settings.from_env()).work()
+    except (UdflowError, redis.ConnectionError) as error:
+        logging.getLogger("worker").error("%s", error)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

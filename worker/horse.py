@@ -1,0 +1,54 @@
+"""Readying the forked process that runs one job."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+
+import torch
+
+from jobs.processes import die_with_parent
+
+log = logging.getLogger("worker")
+
+_OOM_SCORE = "800"  # when memory runs out the kernel should take the job, not the worker
+
+
+def prepare(parent: int) -> None:
+    """First thing after the fork. parent: pid of the worker, whose death ends this process."""
+    die_with_parent(parent=parent)
+    try:
+        Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
+    except OSError as error:
+        log.info("cannot mark the job's process for the kernel: %s", error)
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(available_cores())
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def choose_device() -> str:
+    """UDFLOW_DEVICE, else "cuda" where there is one, else "cpu". Never call this in the worker's
+    parent process: CUDA does not survive a fork."""
+    wanted = os.environ.get("UDFLOW_DEVICE")
+    return wanted or ("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def owner_name(worker: str | None = None, pid: int | None = None) -> str:
+    """Names a job's process, from inside it, or for its worker from outside."""
+    return f"{worker or os.environ.get('RQ_WORKER_ID', 'alone')}:{pid or os.getpid()}"
+
+
+def oom_kills() -> int:
+    """How many processes the kernel has killed for memory since it started; 0 if it won't say."""
+    try:
+        lines = Path("/proc/vmstat").read_text().splitlines()
+    except OSError:
+        return 0
+    return sum(int(line.split()[1]) for line in lines if line.startswith("oom_kill "))

@@ -1,0 +1,163 @@
+"""The RQ worker: one forked process a job, one function allowed, and no job left without an end.
+
+RQ's SimpleWorker ignores stop commands and its SpawnWorker pays the import of torch each time, so
+this forks. The parent must never run a torch operation or touch CUDA: neither survives a fork.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import redis
+from rq import Queue, Worker
+from rq.executions import Execution
+from rq.job import Job
+from rq.serializers import JSONSerializer
+
+from jobs.dispatch import QUEUE, TASK, Dispatcher
+from jobs.errors import InvalidMac
+from jobs.records import JobRecords
+from jobs.settings import Settings
+from jobs.signing import load_secret, verify
+from jobs.spec import JobRecord, JobState
+from worker import horse, tasks
+from worker.failure import OUT_OF_MEMORY
+
+log = logging.getLogger("worker")
+
+_HEARTBEAT_TTL_S = 20  # an idle worker shows itself 15 s before this is over
+_MONITORING_S = 10  # a busy one every so often
+
+# What a task may bring along. Callbacks, webhooks, retries, repeats, dependencies and results name
+# more code to import or addresses to call, so they are dropped before RQ sees them.
+_ALLOWED_FIELDS = frozenset(
+    b"data created_at origin description enqueued_at started_at ended_at last_heartbeat "
+    b"worker_name timeout result_ttl failure_ttl status".split()
+)
+
+
+class ForbiddenTask(Exception):
+    """The queue named something other than the one allowed function."""
+
+
+class AllowedJob(Job):
+    """A task that can only be `worker.tasks.run`. JSON alone is no boundary: RQ would import and
+    call whatever dotted name stands in Redis."""
+
+    def restore(self, raw_data: dict[bytes, bytes]) -> Any:
+        """Take over what Redis holds, without anything that could run other code."""
+        return super().restore({k: v for k, v in raw_data.items() if k in _ALLOWED_FIELDS})
+
+    @property
+    def func(self) -> Callable[..., None]:
+        """The allowed function.
+
+        Raises:
+            ForbiddenTask: another one was named.
+        """
+        if self.func_name != TASK or self.instance is not None:
+            raise ForbiddenTask(f"only {TASK} may be run, not {str(self.func_name)[:80]!r}")
+        return tasks.run
+
+
+class FitWorker(Worker):
+    """Runs jobs until SIGTERM; a job that runs then goes back to the queue."""
+
+    def __init__(self, settings: Settings) -> None:
+        connection = settings.connect_raw()
+        self._secret = load_secret(settings)
+        self._records = JobRecords(settings.connect(), settings.lease_s)
+        self._dispatcher = Dispatcher(settings.connect_raw(), self._secret, settings.job_timeout_s)
+        self._horse_exit: tuple[int, int] | None = None
+        super().__init__(
+            [Queue(QUEUE, connection=connection, serializer=JSONSerializer, job_class=AllowedJob)],
+            connection=connection,
+            serializer=JSONSerializer,
+            job_class=AllowedJob,
+            worker_ttl=_HEARTBEAT_TTL_S,
+            job_monitoring_interval=_MONITORING_S,
+            log_job_description=False,
+        )
+
+    def main_work_horse(self, job: Job, queue: Queue) -> None:
+        """In the forked process."""
+        horse.prepare(parent=self.pid or 0)
+        super().main_work_horse(job, queue)
+
+    def execute_job(self, job: Job, queue: Queue) -> None:
+        """Fork, wait, and see to it that the job does not stay running."""
+        kills_before = horse.oom_kills()
+        self._horse_exit = None
+        super().execute_job(job, queue)
+        try:
+            self._settle(job, out_of_memory=horse.oom_kills() > kills_before)
+        except redis.RedisError as error:
+            log.warning("cannot settle %s now, its lease will run out: %s", job.id, error)
+
+    def wait_for_horse(self) -> Any:
+        """Remember how the process ended: RQ keeps that to itself."""
+        ended = super().wait_for_horse()
+        pid, status, _ = ended
+        if pid is not None and status is not None:
+            self._horse_exit = (pid, status)
+        return ended
+
+    def handle_warm_shutdown_request(self) -> None:
+        """SIGTERM: do not wait for the fit. `_settle` puts the job back."""
+        super().handle_warm_shutdown_request()
+        if self.horse_pid:
+            self.kill_horse()
+
+    def maintain_heartbeats(self, job: Job, execution: Execution) -> None:
+        """A Redis that is away for a moment must not end the fit."""
+        try:
+            super().maintain_heartbeats(job, execution)
+        except redis.RedisError as error:
+            log.warning("cannot send a heartbeat: %s", error)
+
+    def _settle(self, job: Job, *, out_of_memory: bool) -> None:
+        """Decide what becomes of a job whose process ended without ending the job."""
+        record = self._unfinished(job)
+        if record is None or self._horse_exit is None:
+            return
+        _, status = self._horse_exit
+        killed = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL
+        if killed and out_of_memory and record.state is not JobState.QUEUED:
+            self._records.finish(record.id, record.attempt, JobState.FAILED, error=OUT_OF_MEMORY)
+            return
+        why = (
+            "the worker was shut down; the job starts again"
+            if self._stop_requested
+            else f"the process of attempt {record.attempt} died ({_describe(status)}); "
+            "the job starts again"
+        )
+        after = self._records.requeue(
+            record.id, record.attempt, crashed=not self._stop_requested, why=why
+        )
+        if after is not None and after.state is JobState.QUEUED:
+            self._dispatcher.enqueue(after.id, after.attempt, first=True)
+
+    def _unfinished(self, job: Job) -> JobRecord | None:
+        """The record of the attempt that just ran here, if it did not end."""
+        try:
+            job_id, attempt, mac = job.args
+            verify(self._secret, job_id, attempt, mac)
+        except (InvalidMac, ValueError, TypeError, AttributeError):
+            return None
+        record = self._records.get(job_id)
+        if record is None or record.attempt != attempt or self._horse_exit is None:
+            return None
+        pid, status = self._horse_exit
+        died_unclaimed = record.state is JobState.QUEUED and status != 0
+        ours = not record.is_terminal and record.owner == horse.owner_name(self.name, pid)
+        return record if ours or died_unclaimed else None
+
+
+def _describe(status: int) -> str:
+    if os.WIFSIGNALED(status):
+        return f"signal {os.WTERMSIG(status)}"
+    return f"exit status {os.waitstatus_to_exitcode(status)}"

@@ -1,0 +1,155 @@
+"""One attempt at one job: claim, reconstruct, store, finish."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from typing import Literal, TypeVar
+
+import redis
+
+from jobs.records import JobRecords
+from jobs.settings import Settings
+from jobs.spec import Artifact, JobError, JobRecord, JobState
+from jobs.store import FileStore
+from udflow.cloud.formats import read_cloud
+from udflow.cloud.inspection import require_reconstructable
+from udflow.config import from_dict
+from udflow.errors import Canceled, InvalidCloud
+from udflow.progress import Progress
+from udflow.reconstruct import Reconstruction, reconstruct_steps
+from worker.failure import explain
+from worker.horse import choose_device, owner_name
+from worker.lease import LeaseKeeper
+from worker.outputs import outputs_of
+from worker.reporter import JobLost, Reporter
+
+log = logging.getLogger("worker")
+
+_FIT_SHARE = 0.96  # of the whole job; the rest is writing files
+_RETRY_S = 0.3
+_Answer = TypeVar("_Answer")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an attempt ended, for the record."""
+
+    state: Literal[JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELED]
+    error: JobError | None = None
+    outputs: dict[str, Artifact] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def train(job_id: str, attempt: int, settings: Settings) -> None:
+    """Run one attempt. Does nothing if the job is not waiting for it (canceled, taken, gone)."""
+    # short timeouts: the fit must not wait for a Redis that is away
+    with settings.connect(retry=None, socket_timeout=2.0) as connection:
+        records = JobRecords(connection, settings.lease_s)
+        device = choose_device()
+        job = _insist(
+            lambda: records.claim(job_id, attempt, owner_name(), device), settings.lease_s
+        )
+        if job is None:
+            log.info("%s attempt %d is not waiting any more", job_id, attempt)
+            return
+        log.info("%s attempt %d begins on %s", job_id, attempt, device)
+        store = FileStore(settings.data)
+        try:
+            with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
+                outcome = _attempt(job, store, Reporter(records, job), lease)
+        except JobLost:
+            log.warning("%s attempt %d was taken away", job_id, attempt)
+            store.delete_attempt(job_id, attempt)
+            return
+        _finish(job, outcome, records, store)
+
+
+def _attempt(job: JobRecord, store: FileStore, reporter: Reporter, lease: LeaseKeeper) -> Outcome:
+    try:
+        return _reconstruct(job, store, reporter, lease)
+    except JobLost:
+        raise
+    except Canceled:
+        return Outcome(JobState.CANCELED)
+    except Exception as error:
+        return Outcome(JobState.FAILED, explain(error))
+
+
+def _reconstruct(
+    job: JobRecord, store: FileStore, reporter: Reporter, lease: LeaseKeeper
+) -> Outcome:
+    reporter.report(Progress("reading", 0, 1, 0.0, 0.0, 0), 0.0)
+    path = store.scan_path(job.scan_id)
+    if not path.exists():
+        raise InvalidCloud("the scan of this job was deleted; upload it again and make a new job")
+    cloud = read_cloud(path)
+    require_reconstructable(cloud)
+    steps = reconstruct_steps(cloud, from_dict(job.config), job.device or "cpu")
+    result = _drive(steps, reporter, lease)
+    outputs = _store(result, job, store, reporter, lease)
+    return Outcome(JobState.SUCCEEDED, outputs=outputs, warnings=cloud.warnings)
+
+
+def _drive(
+    steps: Generator[Progress, None, Reconstruction], reporter: Reporter, lease: LeaseKeeper
+) -> Reconstruction:
+    while True:
+        try:
+            progress = next(steps)
+        except StopIteration as end:
+            result: Reconstruction = end.value
+            return result
+        lease.advance()
+        reporter.report(progress, _FIT_SHARE * progress.fraction)
+
+
+def _store(
+    result: Reconstruction,
+    job: JobRecord,
+    store: FileStore,
+    reporter: Reporter,
+    lease: LeaseKeeper,
+) -> dict[str, Artifact]:
+    files = list(outputs_of(result))
+    points = len(result.points.points)
+    stored: dict[str, Artifact] = {}
+    for done, file in enumerate(files):
+        share = _FIT_SHARE + (1.0 - _FIT_SHARE) * done / len(files)
+        reporter.report(Progress("exporting", done, len(files), 1.0, 0.0, points), share)
+        stored[file.name] = store.put_artifact(job.id, job.attempt, file.name, file.write)
+        lease.advance()
+    return stored
+
+
+def _finish(job: JobRecord, outcome: Outcome, records: JobRecords, store: FileStore) -> None:
+    reached = _insist(
+        lambda: records.finish(
+            job.id,
+            job.attempt,
+            outcome.state,
+            error=outcome.error,
+            outputs=outcome.outputs,
+            warnings=outcome.warnings,
+        ),
+        records.lease_s,
+    )
+    log.info("%s attempt %d: %s", job.id, job.attempt, reached or "was taken away")
+    if reached is JobState.SUCCEEDED:
+        store.keep_only_attempt(job.id, job.attempt)
+    else:
+        store.delete_attempt(job.id, job.attempt)
+
+
+def _insist(ask: Callable[[], _Answer], patience_s: float) -> _Answer:
+    """Ask Redis again while it is away. All that is asked here is harmless to ask twice."""
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            return ask()
+        except (redis.ConnectionError, redis.TimeoutError):
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(_RETRY_S)
