@@ -1,0 +1,1 @@
+"""The front door: HTTP and websockets in front of the job queue and the store."""

@@ -1,0 +1,58 @@
+"""The application: `uvicorn --factory service.app:create_app`, or `python -m service`."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from jobs.settings import Settings
+from service import openapi, problems
+from service.gate import Gate
+from service.routes import events, jobs, results, scans, system, udf
+from service.services import running
+from service.settings import ServiceSettings, from_environment
+from udflow import __version__
+
+DESCRIPTION = (
+    "Point clouds to meshes and unsigned distances. Upload a scan, start a job, follow its events, "
+    "fetch the mesh, ask for distances. Errors are RFC 9457 problem details with a stable `code`."
+)
+
+
+def create_app(settings: ServiceSettings | None = None, shared: Settings | None = None) -> FastAPI:
+    """The application.
+
+    Args:
+        settings: of the front door; default: from the environment.
+        shared: what service and worker share; default: from the environment.
+
+    Raises:
+        SettingsError, BadSetting: the environment cannot be used.
+        NoRedisServer: REDIS_URL is not set (when the application starts).
+    """
+    front = settings or from_environment()
+    common = shared or Settings.from_env()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with running(front, common) as services:
+            app.state.services = services
+            yield
+
+    app = FastAPI(
+        title="udflow",
+        version=__version__,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,  # the usual pages load scripts from elsewhere
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    problems.install(app)
+    for part in (scans, jobs, events, results, udf, system):
+        app.include_router(part.router)
+    app.openapi = lambda: openapi.document(app)  # type: ignore[method-assign]
+    app.add_middleware(Gate, settings=front)
+    return app

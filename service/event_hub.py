@@ -1,0 +1,129 @@
+"""One reader of Redis per process, any number of clients behind it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from redis.exceptions import RedisError
+
+from jobs.events import AsyncEvents, Event
+
+log = logging.getLogger("service")
+
+MAX_PENDING = 512
+# A new job joins the reader's list between two reads, so this bounds how late it can be.
+BLOCK_MS = 250
+RETRY_S = 1.0
+
+
+class Overflow(Exception):
+    """The client reads so slowly that states would have to be skipped."""
+
+
+class Watcher:
+    """The events one client has not taken yet.
+
+    Waiting progress is replaced by newer progress; everything else is kept in order. A client
+    that lets MAX_PENDING events pile up is cut off: it can resume at the last id it has seen.
+    """
+
+    def __init__(self) -> None:
+        self._pending: deque[Event] = deque()
+        self._arrived = asyncio.Event()
+        self._overflowed = False
+
+    def offer(self, event: Event) -> None:
+        """Adds an event without ever waiting."""
+        if event.type == "progress" and self._pending and self._pending[-1].type == "progress":
+            self._pending.pop()
+        if len(self._pending) >= MAX_PENDING:
+            self._overflowed = True
+            self._pending.clear()
+        if not self._overflowed:
+            self._pending.append(event)
+        self._arrived.set()
+
+    async def next(self, timeout_s: float) -> Event | None:
+        """The next event, or None when none came in time.
+
+        Raises:
+            Overflow: the client was too slow.
+        """
+        if not self._pending and not self._overflowed:
+            self._arrived.clear()
+            try:
+                await asyncio.wait_for(self._arrived.wait(), timeout_s)
+            except TimeoutError:
+                return None
+        if self._overflowed:
+            raise Overflow
+        return self._pending.popleft()
+
+
+class _Channel:
+    """The watchers of one job, and how far the reader has come in its stream."""
+
+    def __init__(self, last_id: str) -> None:
+        self.last_id = last_id
+        self.watchers: set[Watcher] = set()
+
+
+class EventHub:
+    """Reads the streams of all watched jobs in one loop and fans the events out."""
+
+    def __init__(self, events: AsyncEvents) -> None:
+        self._events = events
+        self._channels: dict[str, _Channel] = {}
+        self._wanted = asyncio.Event()
+
+    @contextmanager
+    def watch(self, job_id: str, known_id: str) -> Iterator[Watcher]:
+        """A watcher that gets every event after now.
+
+        known_id: an event id of the job that was read before this call. Events between it and
+        the first that the watcher gets are read with AsyncEvents.read, after this call: what
+        comes both ways is told apart by its id.
+        """
+        channel = self._channels.setdefault(job_id, _Channel(known_id))
+        watcher = Watcher()
+        channel.watchers.add(watcher)
+        self._wanted.set()
+        try:
+            yield watcher
+        finally:
+            channel.watchers.discard(watcher)
+            if not channel.watchers:
+                self._channels.pop(job_id, None)
+
+    def watcher_count(self) -> int:
+        """How many clients are watching."""
+        return sum(len(channel.watchers) for channel in self._channels.values())
+
+    async def run(self) -> None:
+        """Reads until cancelled; a Redis that is away delays events and loses none."""
+        while True:
+            if not self._channels:
+                self._wanted.clear()
+                await self._wanted.wait()
+            try:
+                await self._read_once()
+            except RedisError as error:
+                log.warning("events wait for redis: %s", error)
+                await asyncio.sleep(RETRY_S)
+
+    async def _read_once(self) -> None:
+        known = {job_id: channel.last_id for job_id, channel in self._channels.items()}
+        found = await self._events.read_many(known, block_ms=BLOCK_MS)
+        for job_id, events in found.items():
+            channel = self._channels.get(job_id)
+            # the job may have been left and joined again meanwhile, at another place
+            if channel is None or channel.last_id != known[job_id]:
+                continue
+            for event in events:
+                channel.last_id = event.id
+                for watcher in channel.watchers:
+                    watcher.offer(event)

@@ -1,0 +1,148 @@
+"""What a client of a job's events is told, whatever the transport."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+
+from jobs.events import START, AsyncEvents, Event
+from jobs.records import JobRecords, Snapshot
+from service.event_hub import EventHub
+from service.job_view import job_values, timestamp
+
+HEARTBEAT_S = 15.0
+PAGE = 500
+
+
+class UnknownJob(Exception):
+    """There is no such job, or it was deleted while it was watched."""
+
+
+@dataclass(frozen=True)
+class EventSource:
+    """Where events come from.
+
+    heartbeat_s: longest silence towards a client.
+    """
+
+    records: JobRecords
+    events: AsyncEvents
+    hub: EventHub
+    heartbeat_s: float = HEARTBEAT_S
+
+    async def stream(self, job_id: str, after: str | None) -> AsyncIterator[dict[str, Any]]:
+        """A snapshot, then events until the end of the job.
+
+        With `after`, everything since that event follows the snapshot, without loss or repeat; if
+        part of it is no longer kept, a `gap` says so and the events go on from the snapshot.
+        A message without id is a heartbeat.
+
+        Raises:
+            UnknownJob: there is no such job (any more).
+            BadEventId: `after` is not an event id.
+            Overflow: the client is too slow.
+        """
+        snapshot = await self._snapshot(job_id)
+        start = snapshot.last_event
+        with self.hub.watch(job_id, snapshot.last_event) as watcher:
+            if after is not None and await self._has_gap(job_id, after, snapshot):
+                data = {"after": after, "resumed_at": start}
+                yield message(start, "gap", time.time(), data)
+            elif after is not None:
+                start = after
+            data = await run_in_threadpool(job_values, snapshot.record, self.records)
+            yield message(start, "snapshot", time.time(), data)
+            if after is None and snapshot.record.is_terminal:
+                yield _end(snapshot)
+                return
+            async for event in self._replay(job_id, start):
+                yield from_event(event)
+                start = event.id
+                if event.type == "end":
+                    return
+            if snapshot.record.is_terminal:
+                return  # the client had seen the end before
+            while True:
+                live = await watcher.next(self.heartbeat_s)
+                if live is None:
+                    await self._snapshot(job_id)
+                    yield {"type": "heartbeat", "time": timestamp(time.time())}
+                elif place(live.id) > place(start):
+                    yield from_event(live)
+                    if live.type == "end":
+                        return
+
+    async def page(self, job_id: str, after: str, limit: int) -> tuple[list[Event], bool]:
+        """Up to `limit` events after an id, and whether no more will come."""
+        snapshot = await self._snapshot(job_id)
+        events = await self.events.read(job_id, after, count=limit)
+        if events:
+            return events, events[-1].type == "end"
+        return [], snapshot.record.is_terminal
+
+    async def wait_for_change(
+        self, job_id: str, known: Snapshot, timeout_s: float, to_end: bool
+    ) -> None:
+        """Returns at the next event of the job (or at its end only), or after the timeout."""
+        deadline = time.monotonic() + timeout_s
+        with self.hub.watch(job_id, known.last_event) as watcher:
+            now = await run_in_threadpool(self.records.snapshot, job_id)
+            if now is None or now.record.is_terminal:
+                return
+            if now.last_event != known.last_event and not to_end:
+                return
+            while (left := deadline - time.monotonic()) > 0:
+                event = await watcher.next(left)
+                if event is not None and (event.type == "end" or not to_end):
+                    return
+
+    async def _snapshot(self, job_id: str) -> Snapshot:
+        snapshot = await run_in_threadpool(self.records.snapshot, job_id)
+        if snapshot is None:
+            raise UnknownJob
+        return snapshot
+
+    async def _has_gap(self, job_id: str, after: str, snapshot: Snapshot) -> bool:
+        if place(after) > place(snapshot.last_event):
+            return True  # an id of another life of this Redis
+        if await self.events.has_gap(job_id, after):
+            return place(after) != place(snapshot.last_event)
+        if place(after) != place(START):
+            return False
+        first = await self.events.read(job_id, START, count=1)
+        return not first or first[0].data != {"state": "queued", "attempt": 1}
+
+    async def _replay(self, job_id: str, after: str) -> AsyncIterator[Event]:
+        while events := await self.events.read(job_id, after, count=PAGE):
+            for event in events:
+                yield event
+            after = events[-1].id
+
+
+def message(event_id: str, kind: str, seconds: float, data: Any) -> dict[str, Any]:
+    """An event as it is sent."""
+    return {"id": event_id, "type": kind, "time": timestamp(seconds), "data": data}
+
+
+def from_event(event: Event) -> dict[str, Any]:
+    """A stored event as it is sent."""
+    return message(event.id, event.type, event.time, event.data)
+
+
+def place(event_id: str) -> tuple[int, int]:
+    """Event ids in their order."""
+    milliseconds, _, number = event_id.partition("-")
+    return int(milliseconds), int(number or 0)
+
+
+def _end(snapshot: Snapshot) -> dict[str, Any]:
+    """The last event of a finished job, told from its record: streams outlive jobs only a day."""
+    record = snapshot.record
+    data: dict[str, Any] = {"state": record.state, "attempt": record.attempt}
+    if record.error is not None:
+        data["error"] = vars(record.error)
+    return message(snapshot.last_event, "end", record.finished_at or time.time(), data)

@@ -1,0 +1,218 @@
+"""Jobs: asking for a reconstruction, looking at it, stopping it."""
+
+from __future__ import annotations
+
+import hashlib
+from datetime import datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import JSONResponse, Response
+from starlette.concurrency import run_in_threadpool
+
+from jobs.errors import IdempotencyConflict, QueueFull
+from jobs.ids import is_id
+from jobs.records import Created, Idempotency, Snapshot
+from jobs.spec import JobRecord, JobSpec, JobState
+from jobs.submission import submit
+from service.bodies import read_model
+from service.downloads import matches
+from service.ingest import is_form, received, store_scan
+from service.job_request import complete_config, form_values
+from service.job_view import job_view
+from service.openapi import job_request_body, problems
+from service.problems import Problem, invalid
+from service.routes.scans import find_scan
+from service.schemas import Job, JobCreate, JobPage
+from service.services import Needs, Services
+
+MAX_WAIT_S = 60.0
+POLL_AFTER = {"Retry-After": "1"}
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+
+
+@router.post(
+    "",
+    operation_id="createJob",
+    summary="Reconstruct a scan",
+    status_code=202,
+    response_model=Job,
+    responses=problems(400, 404, 408, 413, 415, 422, 429, 503, 507),
+    openapi_extra={"requestBody": job_request_body()},
+)
+async def create_job(request: Request, services: Needs) -> JSONResponse:
+    """Queues a job for an uploaded scan (JSON), or uploads and queues in one go (form).
+
+    The header `Idempotency-Key` makes a repeated request harmless: the first job comes back.
+    """
+    if is_form(request):
+        wish = await _wish_with_file(request, services)
+    else:
+        wish = await read_model(request, JobCreate)
+        # before the scan is looked for: a wrong parameter is told even if the id is wrong too
+        complete_config(wish.preset, wish.config)
+        await run_in_threadpool(_require_scan, wish.scan_id, services)
+    key = request.headers.get("idempotency-key")
+    created = await run_in_threadpool(_submit, wish, key, services)
+    view = await run_in_threadpool(job_view, created.record, services.records)
+    headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
+    if created.replayed:
+        headers["Idempotency-Replayed"] = "true"
+    return JSONResponse(view.model_dump(mode="json"), 202, headers)
+
+
+async def _wish_with_file(request: Request, services: Services) -> JobCreate:
+    async with received(request, services) as (upload, form):
+        wish = form_values(form.fields)
+        complete_config(wish.preset, wish.config)
+        manifest, _ = await store_scan(upload, form, services)
+    return wish.model_copy(update={"scan_id": manifest["id"]})
+
+
+def _require_scan(scan_id: str, services: Services) -> None:
+    try:
+        find_scan(scan_id, services)
+    except Problem as problem:
+        problem.errors = (("#/scan_id", problem.code, problem.detail),)
+        raise
+
+
+def _submit(wish: JobCreate, key: str | None, services: Services) -> Created:
+    if key is not None and not 0 < len(key) <= 255:
+        raise invalid("?Idempotency-Key", "invalid_value", "use 1 to 255 characters")
+    config = complete_config(wish.preset, wish.config)
+    spec = JobSpec.new(wish.scan_id, config, dict(wish.metadata))
+    idempotency = None if key is None else Idempotency.of(key, wish.model_dump(mode="json"))
+    try:
+        return submit(
+            spec,
+            services.records,
+            services.store,
+            services.dispatcher,
+            idempotency=idempotency,
+            queue_limit=services.settings.queue_limit,
+        )
+    except IdempotencyConflict as error:
+        raise Problem("idempotency_conflict", str(error)) from error
+    except QueueFull as error:
+        raise Problem("queue_full", str(error), headers={"Retry-After": "30"}) from error
+
+
+@router.get(
+    "",
+    operation_id="listJobs",
+    summary="Jobs, the newest first",
+    response_model=JobPage,
+    responses=problems(422, 503),
+)
+def list_jobs(
+    services: Needs,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(description="`next_cursor` of the page before")] = None,
+    state: JobState | None = None,
+    scan_id: str | None = None,
+    created_after: datetime | None = None,
+) -> JobPage:
+    """One page of jobs; ask for the next with `cursor`."""
+    if cursor is not None and not is_id("job", cursor):
+        raise invalid("?cursor", "invalid_value", "use next_cursor of an earlier page")
+    after = None if created_after is None else created_after.timestamp()
+    page = services.records.page(limit, cursor, state=state, scan_id=scan_id, created_after=after)
+    jobs = [job_view(record, services.records) for record in page.records]
+    return JobPage(jobs=jobs, next_cursor=page.next)
+
+
+@router.get(
+    "/{job_id}",
+    operation_id="getJob",
+    summary="The state of a job",
+    response_model=Job,
+    responses=problems(404, 410, 422, 503)
+    | {304: {"description": "Nothing changed since the ETag of If-None-Match"}},
+)
+async def get_job(
+    job_id: str,
+    request: Request,
+    services: Needs,
+    wait: Annotated[float, Query(ge=0, le=MAX_WAIT_S, description="seconds to wait")] = 0.0,
+) -> Response:
+    """The job as it is now.
+
+    With `wait`, the answer comes when the job has ended, or after so many seconds; together with
+    `If-None-Match`, as soon as anything has changed.
+    """
+    known = request.headers.get("if-none-match")
+    snapshot = await find_snapshot(job_id, services)
+    view, etag = await _tagged(snapshot.record, services)
+    settled = snapshot.record.is_terminal or (known is not None and not matches(known, etag))
+    if wait > 0 and not settled:
+        await services.events.wait_for_change(job_id, snapshot, wait, to_end=known is None)
+        snapshot = await find_snapshot(job_id, services)
+        view, etag = await _tagged(snapshot.record, services)
+    headers = {"ETag": etag, "Cache-Control": "no-cache"}
+    if matches(known, etag):
+        return Response(status_code=304, headers=headers)
+    if not snapshot.record.is_terminal:
+        headers |= POLL_AFTER
+    return JSONResponse(view, headers=headers)
+
+
+async def _tagged(record: JobRecord, services: Services) -> tuple[dict[str, Any], str]:
+    view = await run_in_threadpool(job_view, record, services.records)
+    text = view.model_dump_json()
+    return view.model_dump(mode="json"), f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+
+
+@router.post(
+    "/{job_id}/cancel",
+    operation_id="cancelJob",
+    summary="Stop a job",
+    status_code=202,
+    response_model=Job,
+    responses=problems(404, 409, 410, 503),
+)
+def cancel_job(job_id: str, services: Needs) -> Job:
+    """A waiting job is canceled at once, a running one becomes `canceling` and then `canceled`.
+
+    Asking again changes nothing. A job that ended otherwise answers 409 with its state.
+    """
+    record = services.records.request_cancel(job_id) if is_id("job", job_id) else None
+    if record is None:
+        raise unknown_job(job_id, services)
+    if record.is_terminal and record.state is not JobState.CANCELED:
+        raise Problem(
+            "job_finished",
+            f"The job has {record.state} already; there is nothing left to cancel.",
+            state=record.state,
+        )
+    if record.state is JobState.CANCELED:
+        services.dispatcher.withdraw(record.id, record.attempt)
+    return job_view(record, services.records)
+
+
+def find_job(job_id: str, services: Services) -> JobRecord:
+    """The record of a job.
+
+    Raises:
+        Problem: 404, or 410 if it was there once.
+    """
+    record = services.records.get(job_id) if is_id("job", job_id) else None
+    if record is None:
+        raise unknown_job(job_id, services)
+    return record
+
+
+async def find_snapshot(job_id: str, services: Services) -> Snapshot:
+    """The record of a job and its place among its events; raises as `find_job`."""
+    if is_id("job", job_id):
+        snapshot = await run_in_threadpool(services.records.snapshot, job_id)
+        if snapshot is not None:
+            return snapshot
+    raise await run_in_threadpool(unknown_job, job_id, services)
+
+
+def unknown_job(job_id: str, services: Services) -> Problem:
+    """404, or 410 if there was such a job once."""
+    if is_id("job", job_id) and services.records.is_gone(job_id):
+        return Problem("gone", "This job was deleted or has expired, with all its files.")
+    return Problem("job_not_found", "There is no job with this id; GET /v1/jobs lists all jobs.")

@@ -1,0 +1,102 @@
+"""The files of a finished job as downloads."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import Response
+
+from service.downloads import file_response
+from service.openapi import Answers, problems
+from service.results import result_file
+from service.routes.jobs import find_job
+from service.services import Needs, Services
+
+MEDIA_TYPES = {
+    "ply": "application/x-ply",
+    "glb": "model/gltf-binary",
+    "obj": "model/obj",
+    "stl": "model/stl",
+    "safetensors": "application/octet-stream",
+    "json": "application/json",
+}
+MeshFormat = Annotated[Literal["ply", "glb", "obj", "stl"], Query(description="file format")]
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
+
+
+def _answers(*media_types: str) -> Answers:
+    schema = {"type": "string", "format": "binary"}
+    content = {media_type: {"schema": schema} for media_type in media_types}
+    found: Answers = {
+        200: {"content": content, "description": "The file"},
+        206: {"content": content, "description": "The asked range of the file"},
+        304: {"description": "The file is the one of If-None-Match"},
+    }
+    return found | problems(404, 409, 410, 416, 503)
+
+
+@router.head("/mesh", include_in_schema=False)
+@router.get(
+    "/mesh",
+    operation_id="getMesh",
+    summary="The mesh",
+    response_class=Response,
+    responses=_answers(*(MEDIA_TYPES[name] for name in ("ply", "glb", "obj", "stl"))),
+)
+def get_mesh(
+    job_id: str, request: Request, services: Needs, format: MeshFormat = "ply"
+) -> Response:
+    """Triangles in the units and frame of the scan.
+
+    PLY and OBJ hold the coordinates in full; GLB and STL hold single precision, GLB with the
+    place of its origin in the root node.
+    """
+    return _download(job_id, f"mesh.{format}", request, services)
+
+
+@router.head("/points", include_in_schema=False)
+@router.get(
+    "/points",
+    operation_id="getPoints",
+    summary="The densified cloud",
+    response_class=Response,
+    responses=_answers(MEDIA_TYPES["ply"]),
+)
+def get_points(job_id: str, request: Request, services: Needs) -> Response:
+    """The scan's points and those added by densification, as PLY."""
+    return _download(job_id, "points.ply", request, services)
+
+
+@router.head("/field", include_in_schema=False)
+@router.get(
+    "/field",
+    operation_id="getField",
+    summary="The fitted field",
+    response_class=Response,
+    responses=_answers(MEDIA_TYPES["safetensors"]),
+)
+def get_field(job_id: str, request: Request, services: Needs) -> Response:
+    """The field as safetensors, for `udflow query` and `udflow.fields.storage.load_field`."""
+    return _download(job_id, "field.safetensors", request, services)
+
+
+@router.head("/report", include_in_schema=False)
+@router.get(
+    "/report",
+    operation_id="getReport",
+    summary="The report",
+    response_class=Response,
+    responses=_answers(MEDIA_TYPES["json"]),
+)
+def get_report(job_id: str, request: Request, services: Needs) -> Response:
+    """Parameters, seed, versions, timings and topology of the result, as JSON."""
+    return _download(job_id, "report.json", request, services)
+
+
+def _download(job_id: str, name: str, request: Request, services: Services) -> Response:
+    found = result_file(find_job(job_id, services), name, services.store)
+    media_type = MEDIA_TYPES[name.rpartition(".")[2]]
+    return file_response(
+        request, found.path, sha256=found.sha256, media_type=media_type, filename=found.filename
+    )

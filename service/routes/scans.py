@@ -1,0 +1,83 @@
+"""Scans: uploaded point clouds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse
+from starlette.concurrency import run_in_threadpool
+
+from jobs.errors import UnknownId
+from service.ingest import received, store_scan
+from service.job_view import timestamp
+from service.openapi import FILE_FORM, RAW_BODY, problems
+from service.problems import Problem, invalid
+from service.schemas import Scan
+from service.services import Needs, Services
+
+router = APIRouter(prefix="/v1/scans", tags=["scans"])
+
+
+@router.post(
+    "",
+    operation_id="createScan",
+    summary="Upload a scan",
+    status_code=201,
+    response_model=Scan,
+    responses=problems(400, 408, 413, 415, 422, 507)
+    | {200: {"model": Scan, "description": "The same bytes were uploaded before"}},
+    openapi_extra={"requestBody": {"required": True, "content": FILE_FORM | RAW_BODY}},
+)
+async def create_scan(request: Request, services: Needs) -> JSONResponse:
+    """Sends a point cloud as the form part `file`, or as the bare body.
+
+    The format is told from the content, not from the name. The same bytes again give the same
+    scan with 200.
+    """
+    async with received(request, services) as (upload, form):
+        if form.fields:
+            name = next(iter(form.fields))
+            raise invalid(f"#/{name}", "unknown_key", f'unknown part "{name}"; send only "file"')
+        manifest, created = await store_scan(upload, form, services)
+    headers = {"Location": f"/v1/scans/{manifest['id']}"}
+    return JSONResponse(scan_view(manifest), 201 if created else 200, headers)
+
+
+@router.get(
+    "/{scan_id}",
+    operation_id="getScan",
+    summary="What is known about a scan",
+    response_model=Scan,
+    responses=problems(404, 410),
+)
+async def get_scan(scan_id: str, services: Needs) -> dict[str, Any]:
+    """The scan's size, format, bounds, spacing and noise."""
+    return scan_view(await run_in_threadpool(find_scan, scan_id, services))
+
+
+def find_scan(scan_id: str, services: Services) -> dict[str, Any]:
+    """The manifest of a scan.
+
+    Raises:
+        Problem: 404, or 410 if it was there once.
+    """
+    try:
+        manifest = services.store.read_scan(scan_id)
+    except UnknownId as error:
+        raise Problem("scan_not_found", str(error)) from error
+    if manifest is not None:
+        return manifest
+    if services.records.is_gone(scan_id):
+        raise Problem("gone", "This scan was deleted or has expired; upload it again.")
+    raise Problem("scan_not_found", "There is no scan with this id; upload it by POST /v1/scans.")
+
+
+def scan_view(manifest: dict[str, Any]) -> dict[str, Any]:
+    """A manifest as the API shows it."""
+    own = f"/v1/scans/{manifest['id']}"
+    return {
+        **manifest,
+        "created_at": timestamp(manifest["created_at"]),
+        "links": {"self": own, "jobs": f"/v1/jobs?scan_id={manifest['id']}"},
+    }

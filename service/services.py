@@ -1,0 +1,77 @@
+"""The parts that the routes work with, made once per process."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Annotated
+
+import redis
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from jobs.dispatch import Dispatcher
+from jobs.events import AsyncEvents
+from jobs.records import JobRecords
+from jobs.settings import Settings
+from jobs.signing import load_secret
+from jobs.store import FileStore
+from service.event_hub import EventHub
+from service.event_stream import EventSource
+from service.field_cache import FieldCache
+from service.inspection import Inspector
+from service.settings import ServiceSettings
+
+
+@dataclass(frozen=True)
+class Services:
+    """Shared by all requests; every part is safe to use from several threads."""
+
+    settings: ServiceSettings
+    redis: redis.Redis
+    records: JobRecords
+    store: FileStore
+    dispatcher: Dispatcher
+    events: EventSource
+    inspector: Inspector
+    fields: FieldCache
+
+
+@asynccontextmanager
+async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[Services]:
+    """Connects everything and runs the event reader while the service is up."""
+    connection, raw, streams = shared.connect(), shared.connect_raw(), shared.connect_async()
+    events = AsyncEvents(streams)
+    hub = EventHub(events)
+    records = JobRecords(connection, shared.lease_s)
+    services = Services(
+        settings=settings,
+        redis=connection,
+        records=records,
+        store=FileStore(shared.data),
+        dispatcher=Dispatcher(raw, load_secret(shared), shared.job_timeout_s),
+        events=EventSource(records, events, hub),
+        inspector=Inspector(settings),
+        fields=FieldCache(),
+    )
+    reader = asyncio.create_task(hub.run())
+    try:
+        yield services
+    finally:
+        reader.cancel()
+        with suppress(asyncio.CancelledError):
+            await reader
+        services.fields.close()
+        await streams.aclose()
+        connection.close()
+        raw.close()
+
+
+def _services(connection: HTTPConnection) -> Services:
+    found: Services = connection.app.state.services
+    return found
+
+
+Needs = Annotated[Services, Depends(_services)]
