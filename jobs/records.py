@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import secrets
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -193,10 +194,12 @@ class JobRecords:
     # asked by the worker; False or None means: the job is not this attempt's any more
 
     def claim(
-        self, job_id: str, attempt: int, owner: str = "", device: str = "cpu"
+        self, job_id: str, attempt: int, owner: str | None = None, device: str = "cpu"
     ) -> JobRecord | None:
-        """Start a queued job. owner: unique to the process, so that a repeated call is harmless."""
-        if not self._run(scripts.CLAIM, job_id, attempt, owner, self.lease_s, device):
+        """Start a queued job. owner: names the process, so that it may ask again when the answer
+        was lost; a fresh name by default."""
+        name = owner or secrets.token_hex(8)
+        if not self._run(scripts.CLAIM, job_id, attempt, name, self.lease_s, device):
             return None
         return self.get(job_id)
 

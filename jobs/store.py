@@ -73,7 +73,8 @@ class Upload:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        with suppress(OSError):  # what the full disk did not take is not wanted any more
+            self._file.close()
         self.path.unlink(missing_ok=True)
 
 

@@ -108,7 +108,7 @@ class FitWorker(Worker):
 
     def handle_warm_shutdown_request(self) -> None:
         """SIGTERM: do not wait for the fit. `_settle` puts the job back."""
-        super().handle_warm_shutdown_request()
+        super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
         if self.horse_pid:
             self.kill_horse()
 
