@@ -29,10 +29,10 @@ def redis_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmbeddedR
 
 @pytest.fixture
 def settings(redis_server: EmbeddedRedis, tmp_path: Path) -> Settings:
-    """An empty Redis and an empty data folder for each test."""
+    """An empty Redis (its database 0) and an empty data folder for each test."""
     found = Settings(data=tmp_path / "data", redis_url=redis_server.url)
     with found.connect() as client:
-        client.flushall()
+        client.flushdb()
     return found
 
 
