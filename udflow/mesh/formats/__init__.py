@@ -1,0 +1,1 @@
+"""Writers of mesh and point files, one module a format. Use `udflow.mesh.export`."""
