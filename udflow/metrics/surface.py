@@ -6,14 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from udflow.errors import EmptySurface
+from udflow.mesh.load import weld
 from udflow.mesh.mesh import Mesh
-
-WELD = 1e-6  # of the largest extent
 
 
 @dataclass(frozen=True)
@@ -48,38 +44,24 @@ def prepare(mesh: Mesh, centre: NDArray[np.float64], scale: float) -> Mesh:
     Doubled faces break every sampling floor (twice the area, the same surface), and unwelded
     vertices are borders that nobody sees.
     """
-    vertices = (mesh.vertices - centre) / scale
-    extent = bounds(mesh)[1] / scale
-    welded, label = _weld(vertices, WELD * extent)
-    faces = _each_face_once(label[mesh.faces])
+    bounds(mesh)
+    vertices, faces = weld(*_used((mesh.vertices - centre) / scale, mesh.faces))
+    faces = _each_face_once(faces)
     if len(faces) == 0:
         raise EmptySurface("the mesh has only faces without area, so there is nothing to measure")
-    used, faces = np.unique(faces, return_inverse=True)
-    return Mesh(vertices=welded[used], faces=faces.reshape(-1, 3).astype(np.int64))
+    return Mesh(*_used(vertices, faces))
 
 
-def _weld(
-    vertices: NDArray[np.float64], tolerance: float
+def _used(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distinct vertices and, for every old vertex, the number of its new one."""
-    distinct, label = np.unique(vertices, axis=0, return_inverse=True)
-    label = label.ravel()
-    pairs = cKDTree(distinct).query_pairs(tolerance, output_type="ndarray")
-    if len(pairs) == 0:
-        return distinct, label
-    n = len(distinct)
-    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    count, group = connected_components(graph, directed=False)
-    merged = np.empty((count, 3))
-    merged[group] = distinct
-    return merged, group[label].astype(np.int64)
+    """Without the vertices that no face uses."""
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[used], renumbered.reshape(-1, 3).astype(np.int64)
 
 
 def _each_face_once(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    corners = np.sort(faces, axis=1)
-    proper = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
-    faces, corners = faces[proper], corners[proper]
-    _, first = np.unique(corners, axis=0, return_index=True)
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     return faces[np.sort(first)]
 
 
