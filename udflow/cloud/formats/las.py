@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from udflow.cloud.formats.assemble import assemble
 from udflow.cloud.formats.columns import Raw
+from udflow.cloud.formats.laz import require_sound_chunks
 from udflow.cloud.formats.source import Source
 from udflow.cloud.point_cloud import PointCloud
 from udflow.errors import InvalidCloud
@@ -112,11 +113,12 @@ def _decompressed(source: Source, file: BinaryIO, header: LasHeader) -> Iterator
     source.seek(header.first_byte)
     source.require_expansion(header.points * header.record_bytes, source.remaining)
     record = _laszip_record(source, header)
+    require_sound_chunks(source, record, header.first_byte, header.points, header.record_bytes)
     source.seek(header.first_byte)
     try:
         if lazrs.LazVlr(record).item_size() != header.record_bytes:
             raise source.fault("the compression record contradicts the header; the file is damaged")
-        # The sequential decompressor: the parallel one trusts chunk sizes found in the file.
+        # The sequential decompressor: the parallel one also trusts the sizes in the chunk table.
         decompressor = lazrs.LasZipDecompressor(file, record)
         for start in range(0, header.points, _CHUNK_POINTS):
             count = min(_CHUNK_POINTS, header.points - start)
