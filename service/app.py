@@ -1,4 +1,4 @@
-"""The application: `uvicorn --factory service.app:create_app`, or `python -m service`."""
+"""The application: `python -m service.serve`, or `uvicorn --factory service.app:create_app`."""
 
 from __future__ import annotations
 

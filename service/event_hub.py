@@ -29,9 +29,12 @@ class Watcher:
 
     Waiting progress is replaced by newer progress; everything else is kept in order. A client
     that lets MAX_PENDING events pile up is cut off: it can resume at the last id it has seen.
+
+    since: every event after this id will be offered.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, since: str) -> None:
+        self.since = since
         self._pending: deque[Event] = deque()
         self._arrived = asyncio.Event()
         self._overflowed = False
@@ -82,14 +85,13 @@ class EventHub:
 
     @contextmanager
     def watch(self, job_id: str, known_id: str) -> Iterator[Watcher]:
-        """A watcher that gets every event after now.
+        """A watcher that gets every event after `watcher.since`.
 
-        known_id: an event id of the job that was read before this call. Events between it and
-        the first that the watcher gets are read with AsyncEvents.read, after this call: what
-        comes both ways is told apart by its id.
+        known_id: an event id of the job that was read before this call. What the client wants up
+        to `since` is read with AsyncEvents.read; what comes both ways is told apart by its id.
         """
         channel = self._channels.setdefault(job_id, _Channel(known_id))
-        watcher = Watcher()
+        watcher = Watcher(channel.last_id)
         channel.watchers.add(watcher)
         self._wanted.set()
         try:
@@ -106,7 +108,7 @@ class EventHub:
     async def run(self) -> None:
         """Reads until cancelled; a Redis that is away delays events and loses none."""
         while True:
-            if not self._channels:
+            while not self._channels:
                 self._wanted.clear()
                 await self._wanted.wait()
             try:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import dataclass
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 
-from jobs.events import START, AsyncEvents, Event
+from jobs.events import START, AsyncEvents, Event, require_event_id
 from jobs.records import JobRecords, Snapshot
 from service.event_hub import EventHub
 from service.job_view import job_values, timestamp
@@ -34,7 +34,7 @@ class EventSource:
     hub: EventHub
     heartbeat_s: float = HEARTBEAT_S
 
-    async def stream(self, job_id: str, after: str | None) -> AsyncIterator[dict[str, Any]]:
+    async def stream(self, job_id: str, after: str | None) -> AsyncGenerator[dict[str, Any]]:
         """A snapshot, then events until the end of the job.
 
         With `after`, everything since that event follows the snapshot, without loss or repeat; if
@@ -46,6 +46,8 @@ class EventSource:
             BadEventId: `after` is not an event id.
             Overflow: the client is too slow.
         """
+        if after is not None:
+            require_event_id(after)
         snapshot = await self._snapshot(job_id)
         start = snapshot.last_event
         with self.hub.watch(job_id, snapshot.last_event) as watcher:
@@ -59,7 +61,8 @@ class EventSource:
             if after is None and snapshot.record.is_terminal:
                 yield _end(snapshot)
                 return
-            async for event in self._replay(job_id, start):
+            until = max(watcher.since, snapshot.last_event, key=place)
+            async for event in self._replay(job_id, start, until):
                 yield from_event(event)
                 start = event.id
                 if event.type == "end":
@@ -116,11 +119,13 @@ class EventSource:
         first = await self.events.read(job_id, START, count=1)
         return not first or first[0].data != {"state": "queued", "attempt": 1}
 
-    async def _replay(self, job_id: str, after: str) -> AsyncIterator[Event]:
-        while events := await self.events.read(job_id, after, count=PAGE):
+    async def _replay(self, job_id: str, after: str, until: str) -> AsyncIterator[Event]:
+        """Events after an id, at least up to another: the watcher has what follows."""
+        while place(after) < place(until):
+            events = await self.events.read(job_id, after, count=PAGE)
             for event in events:
                 yield event
-            after = events[-1].id
+            after = events[-1].id if events else until
 
 
 def message(event_id: str, kind: str, seconds: float, data: Any) -> dict[str, Any]:

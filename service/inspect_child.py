@@ -34,11 +34,13 @@ def confine(memory_bytes: int, cpu_seconds: int) -> None:
 def verdict(path: Path) -> dict[str, Any]:
     """{"summary": ...} of a cloud that can be reconstructed, else {"code": ..., "detail": ...}."""
     from udflow.cloud.formats import read_cloud
-    from udflow.cloud.inspection import inspect, require_reconstructable
     from udflow.errors import InvalidCloud
 
     try:
         cloud = read_cloud(path)
+        # brings scipy, which a file that cannot be read need not wait for
+        from udflow.cloud.inspection import inspect, require_reconstructable
+
         require_reconstructable(cloud)
         return {"summary": asdict(inspect(cloud))}
     except InvalidCloud as error:

@@ -19,7 +19,7 @@ class ServiceSettings:
     """Where the service listens and what it accepts.
 
     Attributes:
-        host, port: HOST and PORT. Any address but loopback needs a key.
+        host, port: UDFLOW_HOST and PORT. Any address but loopback needs a key.
         key: UDFLOW_KEY, the bearer token every request must carry; None on loopback only.
         allowed_hosts: UDFLOW_ALLOWED_HOSTS, further names the service answers under. Only asked
             without a key: a page that rebinds its own name to this address knows no key.
@@ -51,7 +51,7 @@ class ServiceSettings:
             raise SettingsError(
                 f"Refusing to listen on {self.host} without a key: anyone who reaches the port "
                 "could read and submit scans. Set UDFLOW_KEY to a long random secret, or leave "
-                "HOST at 127.0.0.1."
+                "UDFLOW_HOST at 127.0.0.1."
             )
 
 
@@ -63,7 +63,7 @@ def from_environment(environ: Mapping[str, str] = os.environ) -> ServiceSettings
     """
     hosts = environ.get("UDFLOW_ALLOWED_HOSTS", "").split(",")
     return ServiceSettings(
-        host=environ.get("HOST") or "127.0.0.1",
+        host=environ.get("UDFLOW_HOST") or "127.0.0.1",
         port=_whole(environ, "PORT", 8000),
         key=environ.get("UDFLOW_KEY") or None,
         allowed_hosts=tuple(host.strip().lower() for host in hosts if host.strip()),

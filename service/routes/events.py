@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator
-from contextlib import suppress
+from contextlib import aclosing, suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Request, WebSocket
@@ -55,8 +55,9 @@ async def _send_events(socket: WebSocket, job_id: str, services: Services) -> No
     try:
         if not is_id("job", job_id):
             raise UnknownJob
-        async for message in services.events.stream(job_id, after):
-            await asyncio.wait_for(socket.send_text(json.dumps(message)), SEND_TIMEOUT_S)
+        async with aclosing(services.events.stream(job_id, after)) as messages:
+            async for message in messages:
+                await asyncio.wait_for(socket.send_text(json.dumps(message)), SEND_TIMEOUT_S)
         await socket.close(ENDED, "the job has ended")
     except UnknownJob:
         await socket.close(UNKNOWN, "there is no job with this id")
@@ -127,8 +128,9 @@ def _require_id(after: str | None) -> None:
 
 async def _server_sent(services: Services, job_id: str, after: str | None) -> AsyncIterator[str]:
     try:
-        async for message in services.events.stream(job_id, after):
-            yield _frame(message)
+        async with aclosing(services.events.stream(job_id, after)) as messages:
+            async for message in messages:
+                yield _frame(message)
     except (UnknownJob, Overflow):
         return  # the connection ends; the browser comes back with Last-Event-ID
 

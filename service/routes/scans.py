@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import UnknownId
 from service.ingest import received, store_scan
-from service.job_view import timestamp
+from service.job_view import moment
 from service.openapi import FILE_FORM, RAW_BODY, problems
 from service.problems import Problem, invalid
 from service.schemas import Scan
@@ -41,7 +41,8 @@ async def create_scan(request: Request, services: Needs) -> JSONResponse:
             raise invalid(f"#/{name}", "unknown_key", f'unknown part "{name}"; send only "file"')
         manifest, created = await store_scan(upload, form, services)
     headers = {"Location": f"/v1/scans/{manifest['id']}"}
-    return JSONResponse(scan_view(manifest), 201 if created else 200, headers)
+    view = scan_view(manifest).model_dump(mode="json")
+    return JSONResponse(view, 201 if created else 200, headers)
 
 
 @router.get(
@@ -51,7 +52,7 @@ async def create_scan(request: Request, services: Needs) -> JSONResponse:
     response_model=Scan,
     responses=problems(404, 410),
 )
-async def get_scan(scan_id: str, services: Needs) -> dict[str, Any]:
+async def get_scan(scan_id: str, services: Needs) -> Scan:
     """The scan's size, format, bounds, spacing and noise."""
     return scan_view(await run_in_threadpool(find_scan, scan_id, services))
 
@@ -73,11 +74,8 @@ def find_scan(scan_id: str, services: Services) -> dict[str, Any]:
     raise Problem("scan_not_found", "There is no scan with this id; upload it by POST /v1/scans.")
 
 
-def scan_view(manifest: dict[str, Any]) -> dict[str, Any]:
+def scan_view(manifest: dict[str, Any]) -> Scan:
     """A manifest as the API shows it."""
     own = f"/v1/scans/{manifest['id']}"
-    return {
-        **manifest,
-        "created_at": timestamp(manifest["created_at"]),
-        "links": {"self": own, "jobs": f"/v1/jobs?scan_id={manifest['id']}"},
-    }
+    links = {"self": own, "jobs": f"/v1/jobs?scan_id={manifest['id']}"}
+    return Scan(**{**manifest, "created_at": moment(manifest["created_at"]), "links": links})

@@ -1,96 +1,22 @@
-"""The API as a process of its own over a real Redis; the tests play the worker themselves."""
+"""One API over a real Redis for all tests here; they play the worker themselves."""
 
 from __future__ import annotations
 
-import io
-import os
-import socket
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 import redis
+from api_process import Api, ApiProcess, ball
 
+from jobs.events import Events
 from jobs.records import JobRecords
 from jobs.redis_server import EmbeddedRedis
 from jobs.settings import Settings
 from jobs.spec import JobSpec
 from jobs.store import FileStore
 from udflow.config import preset, to_dict
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@dataclass(frozen=True)
-class Api:
-    """A running API process. url: "http://127.0.0.1:port"; log: what it has written."""
-
-    url: str
-    shared: Settings
-    log: Path
-
-    @property
-    def ws(self) -> str:
-        return self.url.replace("http:", "ws:")
-
-
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port
-
-
-@dataclass
-class ApiProcess:
-    """Starts and stops `python -m service`."""
-
-    shared: Settings
-    log: Path
-    environment: dict[str, str]
-
-    def __enter__(self) -> Api:
-        port = free_port()
-        environment = {
-            **os.environ,
-            "PORT": str(port),
-            "REDIS_URL": self.shared.url,
-            "UDFLOW_DATA": str(self.shared.data),
-            "OMP_NUM_THREADS": "1",
-            **self.environment,
-        }
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "service"],
-            cwd=ROOT,
-            env=environment,
-            stderr=self.log.open("wb"),
-        )
-        api = Api(f"http://127.0.0.1:{port}", self.shared, self.log)
-        wait_until_up(api.url, self._process)
-        return api
-
-    def __exit__(self, *_: object) -> None:
-        self._process.terminate()
-        self._process.wait(15)
-
-
-def wait_until_up(url: str, process: subprocess.Popen[bytes], seconds: float = 30) -> None:
-    deadline = time.monotonic() + seconds
-    while True:
-        assert process.poll() is None, "the process ended before it answered"
-        assert time.monotonic() < deadline, "the API does not answer"
-        try:
-            httpx.get(f"{url}/healthz")
-            return
-        except httpx.TransportError:
-            time.sleep(0.05)
 
 
 @pytest.fixture(scope="session")
@@ -124,6 +50,11 @@ def redis_client(api: Api) -> Iterator[redis.Redis]:
 
 
 @pytest.fixture
+def events(redis_client: redis.Redis) -> Events:
+    return Events(redis_client)
+
+
+@pytest.fixture
 def records(redis_client: redis.Redis) -> JobRecords:
     return JobRecords(redis_client)
 
@@ -154,15 +85,3 @@ def scan(client: httpx.Client) -> dict[str, Any]:
     assert answer.status_code in (200, 201), answer.text
     values: dict[str, Any] = answer.json()
     return values
-
-
-def ball(points: int = 500) -> bytes:
-    """A sphere of radius 1 as .npy."""
-    normal = np.random.default_rng(0).normal(size=(points, 3))
-    return npy(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-def npy(array: Any) -> bytes:
-    file = io.BytesIO()
-    np.save(file, array)
-    return file.getvalue()
