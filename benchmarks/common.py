@@ -1,0 +1,154 @@
+"""What every benchmark needs: data, provenance, cold processes, tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from udflow.mesh.mesh import Mesh
+from udflow.metrics.surface import bounds, sample
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT.parent / "shared" / "data"
+RESULTS = ROOT / "docs" / "results"
+FOLDERS = ("closed", "cad", "open", "layered")
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A process that ended: wall seconds from its start, peak resident memory, what it said."""
+
+    code: int
+    seconds: float
+    peak_mb: float
+    errors: str
+
+
+def shapes(data: Path, wanted: Sequence[str]) -> list[tuple[str, Path]]:
+    """(folder/name, file) of the ground-truth meshes, all or those whose name is wanted."""
+    found = [
+        (f"{folder}/{file.stem}", file)
+        for folder in FOLDERS
+        for file in sorted((data / folder).glob("*"))
+    ]
+    if not found:
+        raise SystemExit(f"no meshes under {data}; point --data at the folder with the shapes")
+    names = {name for name, _ in found} | {name.split("/")[1] for name, _ in found}
+    if unknown := set(wanted) - names:
+        raise SystemExit(f"no shape called {', '.join(sorted(unknown))}")
+    return [
+        (name, file)
+        for name, file in found
+        if not wanted or name in wanted or name.split("/")[1] in wanted
+    ]
+
+
+def load(file: Path) -> Mesh:
+    """A ground-truth mesh as it is in its file, node transforms applied."""
+    mesh: Any = trimesh.load(file, force="mesh", process=False)
+    return Mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+
+
+def scan_of(mesh: Mesh, points: int, noise: float, seed: int) -> NDArray[np.float64]:
+    """(points, 3) evenly by area, with Gaussian noise of `noise` times the largest extent."""
+    generator = np.random.default_rng(seed)
+    found = sample(mesh, points, generator).points
+    return found + generator.normal(0.0, noise * bounds(mesh)[1], found.shape)
+
+
+def cold(command: Sequence[str]) -> Finished:
+    """Run a command in a fresh process and measure it from outside."""
+    start = time.monotonic()
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    )
+    errors = process.stderr.read() if process.stderr else ""
+    _, status, usage = os.wait4(process.pid, 0)
+    seconds = time.monotonic() - start
+    process.returncode = os.waitstatus_to_exitcode(status)
+    kilobytes = usage.ru_maxrss / (1024 if sys.platform == "darwin" else 1)
+    return Finished(process.returncode, seconds, kilobytes / 1024, errors)
+
+
+def provenance(**settings: Any) -> dict[str, Any]:
+    """Machine, commit, versions and settings of a run."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "machine": {
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "memory_gb": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+            "load_before": round(os.getloadavg()[0], 2),
+            "system": platform.system(),
+            "python": platform.python_version(),
+        },
+        "versions": {name: _version(name) for name in ("udflow", "torch", "numpy", "scipy")},
+        "settings": settings,
+    }
+
+
+def provenance_line(values: dict[str, Any]) -> str:
+    """The same in a sentence, to stand under a table."""
+    machine = values["machine"]
+    return (
+        f"{values['date']}, commit {values['commit']}, {machine['processor']}, "
+        f"{machine['cores']} cores, load {machine['load_before']} before the run, "
+        f"Python {machine['python']}, torch {values['versions']['torch']}. "
+        f"Settings: {json.dumps(values['settings'])}."
+    )
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def save(name: str, values: dict[str, Any], text: str) -> None:
+    """Write docs/results/<name>.json and .md."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    (RESULTS / f"{name}.json").write_text(json.dumps(values, indent=2) + "\n")
+    (RESULTS / f"{name}.md").write_text(text)
+    print(f"wrote {(RESULTS / name).relative_to(ROOT)}.json and .md")
+
+
+def _commit() -> str:
+    found = subprocess.run(
+        ["git", "describe", "--always", "--dirty", "--abbrev=12"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return found.stdout.strip() or "not in a repository"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
