@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,16 +71,17 @@ class ApiProcess:
         self._process.wait(15)
 
 
-def wait_until_up(url: str, process: subprocess.Popen[bytes], seconds: float = 30) -> None:
+def wait_until_up(
+    url: str, process: subprocess.Popen[bytes], path: str = "/healthz", seconds: float = 60
+) -> None:
     deadline = time.monotonic() + seconds
     while True:
-        assert process.poll() is None, "the process ended before it answered"
-        assert time.monotonic() < deadline, "the API does not answer"
-        try:
-            httpx.get(f"{url}/healthz")
-            return
-        except httpx.TransportError:
-            time.sleep(0.05)
+        assert process.poll() is None, "the process ended before it was up"
+        assert time.monotonic() < deadline, "it does not come up"
+        with suppress(httpx.TransportError):
+            if httpx.get(url + path).status_code == 200:
+                return
+        time.sleep(0.05)
 
 
 def ball(points: int = 500) -> bytes:
