@@ -1,0 +1,187 @@
+"""The spline field: energies of equation (8) in quadratic B-splines, one level per time t_k.
+
+v(x, t) = grad phi(x, t) with phi(x, t) = E(x) / t: for straight trajectories the ideal energy is
+phi*(x, t) = dist(x)^2 / (2 t), so that every level approximates the same E = dist^2 / 2, the finer
+and the nearer to the surface the smaller its time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from udflow.fields.lattice import SparseLattice, neighbour_offsets
+from udflow.flow.schedule import TimeSchedule
+
+_CHUNK = 1 << 15  # queries evaluated together: their 27 coefficients stay in the cache
+_REFINEMENTS = 2  # full projections at the finest level
+
+
+def quadratic_weights(r: Tensor) -> tuple[Tensor, Tensor]:
+    """Uniform quadratic B-splines and their derivatives at r in [-1/2, 1/2] from a node.
+
+    Args:
+        r: (d, n), one row per axis.
+
+    Returns:
+        Two (d, 3, n) tensors for the nodes at -1, 0 and +1; derivatives per node spacing.
+    """
+    values = torch.stack([0.5 * (0.5 - r) ** 2, 0.75 - r * r, 0.5 * (0.5 + r) ** 2], dim=1)
+    slopes = torch.stack([r - 0.5, -2 * r, r + 0.5], dim=1)
+    return values, slopes
+
+
+def _weighted(block: Tensor, axis: int, weights: Tensor) -> Tensor:
+    """Contracts an axis of three nodes with (3, n) weights; points stay in the last axis."""
+    left, middle, right = block.unbind(dim=axis)
+    return torch.addcmul(torch.addcmul(left * weights[0], middle, weights[1]), right, weights[2])
+
+
+@dataclass(frozen=True)
+class SplineGrid:
+    """A band of cells and the nodes they need. Cells are centred on lattice points: a cell is
+    where one set of 27 nodes is in charge.
+
+    Attributes:
+        origin: lattice point (0, 0, 0), unit frame, (3,).
+        spacing: edge of a cell, unit frame.
+        cells: active cells.
+        nodes: active nodes, the cells and their neighbours.
+    """
+
+    origin: Tensor
+    spacing: float
+    cells: SparseLattice
+    nodes: SparseLattice
+
+    def nodes_of_cells(self) -> Tensor:
+        """Numbers of the 27 nodes of every cell, (c, 27) int64."""
+        device = self.cells.coordinates.device
+        columns = neighbour_offsets(device)[1::3]
+        middle = torch.cat(
+            [self.nodes.find(part[:, None] + columns) for part in self.cells.coordinates.split(_CHUNK)]
+        )
+        # active points are numbered with z fastest, so three in a column have adjacent numbers
+        return (middle[..., None] + torch.arange(-1, 2, device=device)).flatten(1)
+
+    def centres(self) -> Tensor:
+        """(c, 3) centres of the cells, unit frame."""
+        return self.origin + self.cells.coordinates * self.spacing
+
+
+@dataclass(frozen=True)
+class SplineLevel:
+    """One energy E on its band.
+
+    Attributes:
+        grid: where it is defined.
+        coefficients: (n,) one per node, in units of spacing squared.
+        rows: (c, 27) the coefficients gathered per cell, for fast evaluation.
+    """
+
+    grid: SplineGrid
+    coefficients: Tensor
+    rows: Tensor
+
+    @classmethod
+    def of(cls, grid: SplineGrid, coefficients: Tensor) -> SplineLevel:
+        """The level with the given node coefficients."""
+        return cls(grid, coefficients, coefficients[grid.nodes_of_cells()])
+
+    def covers(self, points: Tensor) -> Tensor:
+        """(n,) bool, whether points lie in the band."""
+        return self._cell(points)[0] >= 0
+
+    def gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """grad E of (n, 3) points, a length vector (the displacement x - foot), and (n,) bool
+        that says where it is defined; zero elsewhere."""
+        cell, r = self._cell(points)
+        inside = cell >= 0
+        # one row per node and one column per point: every step below runs over long rows
+        block = self.rows[cell.clamp_min(0)].T.contiguous().view(3, 3, 3, -1)
+        values, slopes = quadratic_weights(r.T.contiguous())
+        along_z, along_dz = _weighted(block, 2, values[2]), _weighted(block, 2, slopes[2])
+        along_yz = _weighted(along_z, 1, values[1])
+        gradient = torch.stack(
+            [
+                _weighted(along_yz, 0, slopes[0]),
+                _weighted(_weighted(along_z, 1, slopes[1]), 0, values[0]),
+                _weighted(_weighted(along_dz, 1, values[1]), 0, values[0]),
+            ],
+            dim=1,
+        )
+        return gradient * (self.grid.spacing * inside[:, None]), inside
+
+    def _cell(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        local = (points - self.grid.origin) / self.grid.spacing
+        nearest = local.round()
+        return self.grid.cells.find(nearest.long()), local - nearest
+
+
+@dataclass(frozen=True)
+class SplineField:
+    """A conservative velocity field with one spline level per time of the schedule.
+
+    Attributes:
+        schedule: the times t_1 < ... < t_K.
+        levels: K levels, levels[k - 1] for t_k; the last one covers the whole trained box.
+    """
+
+    schedule: TimeSchedule
+    levels: tuple[SplineLevel, ...]
+
+    def velocity(self, points: Tensor, t: float) -> Tensor:
+        """v(x, t) = grad E(x) / t by the level of the smallest time >= t that covers x, (n, 3).
+
+        Zero outside the trained box.
+        """
+        times = self.schedule.times
+        first = next((i for i, time in enumerate(times) if time >= t - 1e-9), len(times) - 1)
+        gradient, inside = self.levels[first].gradient(points)
+        for level in self.levels[first + 1 :]:
+            missing = (~inside).nonzero().squeeze(1)
+            if len(missing) == 0:
+                break
+            found, ok = level.gradient(points[missing])
+            gradient[missing] = found
+            inside[missing] = ok
+        return gradient / t
+
+    def project(self, points: Tensor) -> Tensor:
+        """Feet of (n, 3) points by reverse integration, equation (4).
+
+        A point near the surface is the state of a longer trajectory at a small time, so each
+        point starts at the smallest t_k whose band covers it. The last step, to t = 0, is a full
+        projection; it is made twice.
+        """
+        if len(points) == 0:
+            return points
+        return torch.cat([self._project(chunk) for chunk in points.split(_CHUNK)])
+
+    def _project(self, points: Tensor) -> Tensor:
+        start = self._start(points)
+        x = points.clone()
+        for k in range(self.schedule.steps, 1, -1):
+            moving = (start >= k).nonzero().squeeze(1)
+            if len(moving) > 0:
+                velocity = self.velocity(x[moving], self.schedule.time(k))
+                x[moving] = x[moving] - self.schedule.step(k) * velocity
+        for _ in range(_REFINEMENTS):
+            x = x - self.schedule.step(1) * self.velocity(x, self.schedule.time(1))
+        return x
+
+    def _start(self, points: Tensor) -> Tensor:
+        """(n,) smallest k whose level covers the point, K where none does."""
+        start = torch.full((len(points),), self.schedule.steps, device=points.device)
+        undecided = torch.arange(len(points), device=points.device)
+        for k in range(1, self.schedule.steps):
+            covered = self.levels[k - 1].covers(points[undecided])
+            start[undecided[covered]] = k
+            undecided = undecided[~covered]
+        return start
+
+    def covers(self, points: Tensor) -> Tensor:
+        """(n,) bool, whether points lie in the trained box."""
+        return self.levels[-1].covers(points)

@@ -1,0 +1,105 @@
+"""The unsigned distance field in the units and frame of the upload."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from udflow.cloud.normalisation import Normalisation
+from udflow.errors import InvalidQuery
+from udflow.fields.spline import SplineField
+
+_CHUNK = 1 << 17
+
+
+@dataclass(frozen=True)
+class FieldAnswer:
+    """Answers to n queries, world frame and units.
+
+    Attributes:
+        distance: (n,) float64, >= 0.
+        gradient: (n, 3) float32 unit vectors pointing away from the surface; zero on it.
+        closest: (n, 3) float64 points of the surface.
+        valid: (n,) bool, whether the query lies in the trained box. Outside it the answer is the
+            distance to the foot of the nearest point of the box, plus the way there.
+    """
+
+    distance: NDArray[np.float64]
+    gradient: NDArray[np.float32]
+    closest: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class UnsignedDistanceField:
+    """A fitted field that answers in world units.
+
+    Attributes:
+        spline: the field in the unit frame.
+        normalisation: between world and unit frame.
+    """
+
+    spline: SplineField
+    normalisation: Normalisation
+
+    @property
+    def low(self) -> NDArray[np.float64]:
+        """Lower corner of the trained box, world frame, (3,)."""
+        return np.asarray(self.normalisation.centre) - self._half_edge()
+
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """Upper corner of the trained box, world frame, (3,)."""
+        return np.asarray(self.normalisation.centre) + self._half_edge()
+
+    def query(self, points: NDArray[np.floating]) -> FieldAnswer:
+        """Distance, gradient and closest point of (n, 3) world points.
+
+        Raises:
+            InvalidQuery: not (n, 3), or a coordinate is not finite; the message names the row.
+        """
+        points = checked_queries(points)
+        parts = [
+            self._query(points[i : i + _CHUNK]) for i in range(0, max(len(points), 1), _CHUNK)
+        ]
+        return FieldAnswer(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("distance", "gradient", "closest", "valid")
+            )
+        )
+
+    def _query(self, points: NDArray[np.float64]) -> FieldAnswer:
+        device = self.spline.levels[0].coefficients.device
+        low, high = self.low, self.high
+        valid = ((points >= low) & (points <= high)).all(axis=1)
+        unit = torch.from_numpy(self.normalisation.to_unit(np.clip(points, low, high)))
+        with torch.inference_mode():
+            feet = self.spline.project(unit.to(device)).cpu().numpy()
+        closest = self.normalisation.to_world(feet)
+        offset = points - closest
+        distance = np.linalg.norm(offset, axis=1)
+        gradient = offset / np.maximum(distance, np.finfo(np.float64).tiny)[:, None]
+        return FieldAnswer(distance, gradient.astype(np.float32), closest, valid)
+
+    def _half_edge(self) -> float:
+        grid = self.spline.levels[-1].grid
+        return float(-(grid.origin[0]) - 0.5 * grid.spacing) * self.normalisation.scale
+
+
+def checked_queries(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The queries as (n, 3) float64.
+
+    Raises:
+        InvalidQuery: wrong shape, or a coordinate that is not finite.
+    """
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidQuery(f"queries must be an (n, 3) array, not of shape {points.shape}")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise InvalidQuery(f"row {row} has a coordinate that is not finite; remove or repair it")
+    return points.astype(np.float64)

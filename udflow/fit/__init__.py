@@ -1,0 +1,1 @@
+"""Fits: from samples to a velocity field. They yield Progress and return the field."""

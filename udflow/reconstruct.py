@@ -1,0 +1,202 @@
+"""The whole story: cloud -> field -> mesh. Read this first."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+import udflow
+from udflow import densify
+from udflow.cloud.inspection import require_reconstructable
+from udflow.cloud.normalisation import Normalisation
+from udflow.cloud.point_cloud import PointCloud
+from udflow.cloud.sampled_surface import SampledSurface
+from udflow.config import Config, to_dict
+from udflow.fields.unsigned import UnsignedDistanceField
+from udflow.fit.spline import SplineFit, finest_resolution, fit_spline
+from udflow.mesh.colour import transfer_colors
+from udflow.mesh.extract import extract
+from udflow.mesh.mesh import Mesh
+from udflow.progress import Progress, Stage
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What a reconstruction gives back, all in the units and frame of the upload.
+
+    Attributes:
+        mesh: the surface, with colours where the cloud has them.
+        field: answers distance queries.
+        points: the densified cloud.
+        report: parameters, versions, timings, counts; JSON values only.
+    """
+
+    mesh: Mesh
+    field: UnsignedDistanceField
+    points: PointCloud
+    report: dict[str, Any]
+
+
+def reconstruct(
+    cloud: PointCloud,
+    config: Config | None = None,
+    *,
+    device: str = "cpu",
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Reconstruction:
+    """Reconstructs a surface and its unsigned distance field from a point cloud.
+
+    Args:
+        cloud: points in any units and frame.
+        config: parameters; the preset "fast" if None.
+        device: a torch device, such as "cpu" or "cuda".
+        on_progress: called with every `Progress`.
+
+    Raises:
+        InvalidCloud: nothing can be made of these points; the message says why.
+        Diverged, EmptySurface: the fit or the extraction failed; the message says what to change.
+    """
+    steps = reconstruct_steps(cloud, config or Config(), device)
+    while True:
+        try:
+            progress = next(steps)
+        except StopIteration as done:
+            result: Reconstruction = done.value
+            return result
+        if on_progress is not None:
+            on_progress(progress)
+
+
+def reconstruct_steps(
+    cloud: PointCloud, config: Config, device: str = "cpu"
+) -> Generator[Progress, None, Reconstruction]:
+    """`reconstruct` as a generator: yields progress, returns the `Reconstruction`.
+
+    Between two yields a caller may stop, publish or save; nothing is lost by waiting.
+    """
+    require_reconstructable(cloud)
+    with torch.inference_mode():
+        return (yield from _Run(cloud, config, device).steps())
+
+
+class _Run:
+    """One reconstruction under way: what the stages hand to each other, and the clock."""
+
+    def __init__(self, cloud: PointCloud, config: Config, device: str) -> None:
+        self.cloud = cloud
+        self.config = config
+        self.normalisation = Normalisation.of(cloud.points)
+        unit = np.unique(self.normalisation.to_unit(cloud.points), axis=0)
+        self.samples = torch.from_numpy(unit).to(device)
+        self.input_points = len(unit)
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.rounds = densify.rounds_needed(len(unit), config.densify)
+        self.round = 0
+        self.loss: float | None = None
+        self.started = time.monotonic()
+        self.seconds: dict[str, float] = {}
+
+    def steps(self) -> Generator[Progress, None, Reconstruction]:
+        yield self._progress("reading", 1, 1)
+        fit = yield from self._fitted("fitting")
+        while self.round < self.rounds:
+            grown = densify.reflow(self.samples, fit.field, self.config.densify, self.generator)
+            if len(grown) == len(self.samples):
+                break
+            self.samples = grown
+            self.round += 1
+            fit = yield from self._fitted("densifying")
+        yield self._progress("extracting", 0, 1)
+        mesh = extract(fit.field, self.samples, self.config.extract)
+        self._clock("extracting")
+        yield self._progress("exporting", 0, 1)
+        result = self._finished(fit, mesh)
+        yield self._progress("exporting", 1, 1)
+        return result
+
+    def _fitted(self, stage: Stage) -> Generator[Progress, None, SplineFit]:
+        yield self._progress(stage, 0, self.config.flow.steps)
+        surface = SampledSurface.of(self.samples)
+        self.spacing, self.error = surface.spacing, surface.error
+        fitting = fit_spline(surface, self.config)
+        while True:
+            try:
+                solved = next(fitting)
+            except StopIteration as done:
+                fit: SplineFit = done.value
+                break
+            yield self._progress(stage, solved, self.config.flow.steps)
+        self.loss = fit.loss
+        self._clock(stage)
+        return fit
+
+    def _finished(self, fit: SplineFit, mesh: Mesh) -> Reconstruction:
+        vertices = self.normalisation.to_world(mesh.vertices)
+        colors = transfer_colors(vertices, self.cloud)
+        points = self.normalisation.to_world(self.samples.cpu().numpy())
+        self._clock("exporting")
+        return Reconstruction(
+            mesh=replace(mesh, vertices=vertices, colors=colors),
+            field=UnsignedDistanceField(fit.field, self.normalisation),
+            points=PointCloud(points, colors=transfer_colors(points, self.cloud)),
+            report=self._report(mesh),
+        )
+
+    def _report(self, mesh: Mesh) -> dict[str, Any]:
+        scale = self.normalisation.scale
+        return {
+            "version": udflow.__version__,
+            "torch": torch.__version__,
+            "device": str(self.samples.device),
+            "config": to_dict(self.config),
+            "points": {
+                "input": len(self.cloud.points),
+                "unique": self.input_points,
+                "densified": len(self.samples),
+                "rounds": self.round,
+            },
+            "frame": {"centre": list(self.normalisation.centre), "scale": scale},
+            "spacing": self.spacing * scale,
+            "sample_error": self.error * scale,
+            "spline_resolution": finest_resolution(self.spacing, self.config),
+            "loss": self.loss,
+            "mesh": {"vertices": len(mesh.vertices), "faces": len(mesh.faces)},
+            "seconds": {**self.seconds, "total": time.monotonic() - self.started},
+            "warnings": list(self.cloud.warnings),
+        }
+
+    def _clock(self, stage: Stage) -> None:
+        """Books the time since the last booking to a stage."""
+        spent = sum(self.seconds.values())
+        now = time.monotonic() - self.started
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - spent
+
+    def _progress(self, stage: Stage, step: int, total: int) -> Progress:
+        return Progress(
+            stage=stage,
+            step=step,
+            total=total,
+            fraction=self._fraction(stage, step / total),
+            elapsed_s=time.monotonic() - self.started,
+            points=len(self.samples),
+            round=self.round,
+            rounds=self.rounds,
+            loss=self.loss,
+        )
+
+    def _fraction(self, stage: Stage, within: float) -> float:
+        """Position in the whole: a fit counts as one part, the extraction as another."""
+        parts = self.rounds + 2.0
+        done = {
+            "reading": 0.0,
+            "fitting": within,
+            "densifying": self.round + within,
+            "extracting": self.rounds + 1 + 0.9 * within,
+            "exporting": self.rounds + 1.9 + 0.1 * within,
+        }
+        return min(done[stage] / parts, 1.0)
