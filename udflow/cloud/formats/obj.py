@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import chain
 
 from udflow.cloud.formats.assemble import assemble
 from udflow.cloud.formats.columns import Wanted, from_table
@@ -27,23 +28,15 @@ def read_obj(source: Source) -> PointCloud:
         InvalidCloud: no vertices, or a vertex line that is not made of numbers.
     """
     blocks = _vertices(source)
-    first = next(blocks, None)
-    if first is None:
-        raise source.fault("the file holds no vertices (lines that begin with v)")
-    has_colors = all(len(line.split()) >= 7 for line in first[1])
+    first = next(blocks)
+    has_colors = all(len(line.split()) >= 7 for line in first[1] if line)
     # Column 0 is the letter v; a fourth number alone is a weight.
     wanted = Wanted((1, 2, 3), (4, 5, 6) if has_colors else None)
-    table = read_rows(source, _chained(first, blocks), wanted.flat)
+    table = read_rows(source, chain([first], blocks), wanted.flat)
     return assemble(from_table(table, wanted), format=source.format)
 
 
 def _vertices(source: Source) -> Iterator[Block]:
     for number, lines in numbered_blocks(source, line_limit=HEADER_LIMIT):
-        kept = [line for line in lines if _VERTEX.match(line)]
-        if kept:
-            yield number, kept
-
-
-def _chained(first: Block, rest: Iterator[Block]) -> Iterator[Block]:
-    yield first
-    yield from rest
+        # Other lines become blank, not fewer, so that messages name the right line.
+        yield number, [line if _VERTEX.match(line) else "" for line in lines]

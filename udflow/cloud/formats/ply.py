@@ -99,6 +99,9 @@ def _without_lists(
     for number, lines in blocks:
         kept = []
         for offset, line in enumerate(lines):
+            if not line.strip():
+                kept.append("")
+                continue
             cells = _scalars(element, line.split())
             if cells is None:
                 raise source.fault(f"line {number + offset} does not fit the header: {shown(line)}")

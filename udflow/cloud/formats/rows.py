@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,12 +76,12 @@ def _parse(
     source: Source, block: Block, columns: Sequence[int], delimiter: str | None, limit: int | None
 ) -> NDArray[np.float64]:
     lines = block[1]
+    if limit is not None and len(lines) > limit:
+        lines = list(islice(filter(has_content, lines), limit))
     if not any(map(has_content, lines)):
         return np.empty((0, len(columns)))
     try:
-        return np.loadtxt(
-            lines, delimiter=delimiter, usecols=columns, max_rows=limit, ndmin=2, dtype=np.float64
-        )
+        return np.loadtxt(lines, delimiter=delimiter, usecols=columns, ndmin=2, dtype=np.float64)
     except ValueError as error:
         said = _what_is_wrong(block, columns, delimiter) or f"unreadable numbers: {error}"
         raise source.fault(said) from error

@@ -66,6 +66,5 @@ def _from_corners(source: Source, corners: NDArray[np.float64]) -> PointCloud:
 
 def _vertices(source: Source) -> Iterator[Block]:
     for number, lines in numbered_blocks(source):
-        kept = [line for line in lines if _VERTEX.match(line)]
-        if kept:
-            yield number, kept
+        # Other lines become blank, not fewer, so that messages name the right line.
+        yield number, [line if _VERTEX.match(line) else "" for line in lines]

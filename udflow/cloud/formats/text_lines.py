@@ -46,31 +46,34 @@ class Lines:
     def __init__(self, source: Source, first_line: int, line_limit: int) -> None:
         self._source = source
         self._blocks = numbered_blocks(source, first_line, line_limit)
-        self._number = first_line
-        self._held: list[str] = []
+        self._held: Block | None = None
 
     def next_rows(self, count: int, what: str) -> Iterator[Block]:
-        """The next `count` rows in blocks.
+        """The next `count` rows in blocks, with the blank lines among them.
 
         Raises:
             InvalidCloud: the file ends before.
         """
         found = 0
         while found < count:
-            if not self._held:
-                self._number, self._held = self._next_block(count - found, what)
-            rows = self._held[: count - found]
-            number, self._held = self._number, self._held[len(rows) :]
-            self._number += len(rows)
-            found += len(rows)
-            yield number, rows
+            number, lines = self._next_block(count - found, what)
+            rows = [i for i, line in enumerate(lines) if _has_text(line)]
+            cut = rows[count - found] if len(rows) > count - found else len(lines)
+            if cut < len(lines):
+                self._held = number + cut, lines[cut:]
+            found += min(len(rows), count - found)
+            yield number, lines[:cut]
 
     def _next_block(self, missing: int, what: str) -> Block:
-        for number, lines in self._blocks:
-            rows = [line for line in lines if line and not line.isspace()]
-            if rows:
-                return number, rows
-        raise self._source.fault(
-            f"the file ends {missing} rows before the end of its {what[:40]} element; it is "
-            "truncated or its header is wrong. Export or upload it again"
-        )
+        held, self._held = self._held, None
+        found = held or next(self._blocks, None)
+        if found is None:
+            raise self._source.fault(
+                f"the file ends {missing} rows before the end of its {what[:40]} element; it is "
+                "truncated or its header is wrong. Export or upload it again"
+            )
+        return found
+
+
+def _has_text(line: str) -> bool:
+    return bool(line) and not line.isspace()
