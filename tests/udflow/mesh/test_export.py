@@ -280,7 +280,7 @@ def test_decimal_text_is_true_to_sixteen_digits(rows: list[tuple[float, float, f
 
 
 def test_decimal_text_by_hand() -> None:
-    values = np.array([[0.0, -1.5, 120.25], [1e-9, -0.0, -100.0]])
+    values = np.array([[0.0, -1.5, 120.25], [-1e-9, -0.0, -100.0]])
     assert lines(b"v", fixed_point(values, 4)) == b"v 0.0 -1.5 120.25\nv 0.0 0.0 -100.0\n"
     assert lines(b"f", whole_numbers(np.array([[1, 20, 300], [0, 12345, 6]]))) == (
         b"f 1 20 300\nf 0 12345 6\n"
