@@ -95,10 +95,9 @@ def _refuse_foreign(head: bytes) -> None:
 
 
 def _looks_like_pcd(head: bytes) -> bool:
-    start = head[:4096]
-    return start.startswith((b"# .PCD", b"VERSION")) or (
-        b"\nFIELDS " in start and b"\nDATA " in start
-    )
+    start = b"\n" + head[:4096]
+    fields = b"\nFIELDS " in start or b"\nCOLUMNS " in start
+    return start.startswith((b"\n# .PCD", b"\nVERSION")) or (fields and b"\nDATA " in start)
 
 
 def _control_bytes(head: bytes) -> bool:
