@@ -68,12 +68,12 @@ class DensifyConfig(_Strict):
     """Iterative densification, equation (9).
 
     target_points: stop at this many points; clouds that have as many are left alone.
-    points_per_round: points added before the field is fitted again.
+    points_per_round: points added before the field is fitted again (paper: 2 000).
     threshold: epsilon, keep a projected point only where the field is below it.
     """
 
     target_points: int = 30_000
-    points_per_round: int = 2_000
+    points_per_round: int = 15_000
     threshold: float = 0.005
 
     def __post_init__(self) -> None:

@@ -12,9 +12,11 @@ from udflow.cloud.neighbours import NeighbourTree
 from udflow.config import DensifyConfig
 from udflow.fields.interface import ProjectiveField
 
-_SPREAD = 0.5  # of the distance to the tenth neighbour: how far queries start from the samples
-_NEIGHBOUR = 10
+_SPREAD = 0.25  # of the distance to the tenth neighbour: how far queries start from the samples
+_NEIGHBOURS = 10
 _OVERSAMPLING = 4  # candidates for every point wanted
+_FARTHEST = 0.75  # of the distance to the tenth neighbour: how far from the cloud feet may lie
+_LOPSIDED = 0.5  # of the same: a foot this far from its neighbours' mean lies beyond a rim
 
 
 def rounds_needed(points: int, config: DensifyConfig) -> int:
@@ -25,6 +27,7 @@ def rounds_needed(points: int, config: DensifyConfig) -> int:
 
 def reflow(
     samples: Tensor,
+    cloud: Tensor,
     field: ProjectiveField,
     config: DensifyConfig,
     generator: torch.Generator,
@@ -32,11 +35,12 @@ def reflow(
     """One Reflow of equation (9): P^{n+1} = P^n and projected queries with f < epsilon.
 
     Queries are drawn around the samples, most where samples are sparse, and flow back along the
-    field. Of the feet that the field itself puts nearer than epsilon to its surface, those that
-    lie farthest from the samples are taken, so that gaps fill first.
+    field. Kept are feet that the field itself puts nearer than epsilon to its surface and that
+    lie between points of the cloud: what continues beyond a rim is an invention of the field.
 
     Args:
         samples: P^n, (n, 3), unit frame.
+        cloud: P^0, (m, 3), the measured points.
         field: the field fitted to P^n.
         config: numbers of points and epsilon.
         generator: source of randomness, on the CPU.
@@ -47,17 +51,20 @@ def reflow(
     wanted = min(config.points_per_round, config.target_points - len(samples))
     if wanted <= 0:
         return samples
-    tree = NeighbourTree(samples)
-    local = tree.nearest(samples, _NEIGHBOUR).distance[:, -1]
+    local = NeighbourTree(samples).nearest(samples, _NEIGHBOURS).distance[:, -1]
     chosen = torch.multinomial(
         local.double().cpu().square(), _OVERSAMPLING * wanted, True, generator=generator
     ).to(samples.device)
     noise = torch.randn(len(chosen), 3, generator=generator).to(samples.device)
-    queries = samples[chosen] + _SPREAD * local[chosen, None] * noise
-    feet = field.project(queries)
+    feet = field.project(samples[chosen] + _SPREAD * local[chosen, None] * noise)
     distance = (feet - field.project(feet)).norm(dim=1)
-    gap = tree.nearest(feet, 1).distance[:, 0]
-    # a foot far outside its neighbourhood continues the surface where there may be none
-    kept = (distance < config.threshold) & (gap < local[chosen])
-    feet, gap = feet[kept], gap[kept]
-    return torch.cat([samples, feet[gap.argsort(descending=True)[:wanted]]])
+    kept = (distance < config.threshold) & _between(feet, cloud)
+    return torch.cat([samples, feet[kept][:wanted]])
+
+
+def _between(feet: Tensor, cloud: Tensor) -> Tensor:
+    """(n,) bool, whether feet have points of the cloud near them and on all sides."""
+    near = NeighbourTree(cloud).nearest(feet, _NEIGHBOURS)
+    radius = near.distance[:, -1]
+    lopsided = (cloud[near.index].mean(dim=1) - feet).norm(dim=1)
+    return (near.distance[:, 0] < _FARTHEST * radius) & (lopsided < _LOPSIDED * radius)

@@ -92,8 +92,8 @@ class _Run:
         self.config = config
         self.normalisation = Normalisation.of(cloud.points)
         unit = np.unique(self.normalisation.to_unit(cloud.points), axis=0)
-        self.samples = torch.from_numpy(unit).to(device)
-        self.input_points = len(unit)
+        self.measured = torch.from_numpy(unit).to(device)
+        self.samples = self.measured
         self.generator = torch.Generator().manual_seed(config.seed)
         self.rounds = densify.rounds_needed(len(unit), config.densify)
         self.round = 0
@@ -105,7 +105,9 @@ class _Run:
         yield self._progress("reading", 1, 1)
         fit = yield from self._fitted("fitting")
         while self.round < self.rounds:
-            grown = densify.reflow(self.samples, fit.field, self.config.densify, self.generator)
+            grown = densify.reflow(
+                self.samples, self.measured, fit.field, self.config.densify, self.generator
+            )
             if len(grown) == len(self.samples):
                 break
             self.samples = grown
@@ -156,7 +158,7 @@ class _Run:
             "config": to_dict(self.config),
             "points": {
                 "input": len(self.cloud.points),
-                "unique": self.input_points,
+                "unique": len(self.measured),
                 "densified": len(self.samples),
                 "rounds": self.round,
             },

@@ -60,9 +60,8 @@ class SplineGrid:
         """Numbers of the 27 nodes of every cell, (c, 27) int64."""
         device = self.cells.coordinates.device
         columns = neighbour_offsets(device)[1::3]
-        middle = torch.cat(
-            [self.nodes.find(part[:, None] + columns) for part in self.cells.coordinates.split(_CHUNK)]
-        )
+        parts = self.cells.coordinates.split(_CHUNK)
+        middle = torch.cat([self.nodes.find(part[:, None] + columns) for part in parts])
         # active points are numbered with z fastest, so three in a column have adjacent numbers
         return (middle[..., None] + torch.arange(-1, 2, device=device)).flatten(1)
 

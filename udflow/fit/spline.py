@@ -18,7 +18,9 @@ from udflow.flow.schedule import TimeSchedule
 BOX = 1.5  # half edge of the trained box: three times the cloud's largest extent
 _DILATION = 2  # cells around the samples' cells that may belong to a band
 _BAND = 1.75  # half width of a band in cells
-_CELL_PER_SPACING = 0.8
+_CELL_PER_SPACING = 0.8  # edge of a cell where there are many samples
+_FINE_CELL_PER_SPACING = 0.5  # where there are few: finer cells follow the quadrics more closely
+_FINE_RESOLUTION = 144  # and cost nothing below this resolution
 _SMOOTHNESS = 1e-2
 _COARSEST = 8  # cells along the largest extent that the coarsest level never goes below
 
@@ -45,8 +47,9 @@ def finest_resolution(spacing: float, config: Config) -> int:
     """
     if config.spline.resolution is not None:
         return config.spline.resolution
-    wanted = round(1.0 / (_CELL_PER_SPACING * spacing))
-    return int(min(max(wanted, 16), config.extract.resolution, 512))
+    coarse = 1.0 / (_CELL_PER_SPACING * spacing)
+    fine = min(1.0 / (_FINE_CELL_PER_SPACING * spacing), _FINE_RESOLUTION)
+    return int(min(max(coarse, fine, 16), config.extract.resolution, 512))
 
 
 def fit_spline(surface: SampledSurface, config: Config) -> Generator[int, None, SplineFit]:
