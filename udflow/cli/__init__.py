@@ -18,6 +18,7 @@ from udflow.cli.exits import (
     UsageError,
 )
 from udflow.cli.parser import build_parser
+from udflow.cli.signals import stop_at_once_on_signals
 from udflow.errors import (
     BadField,
     InvalidCloud,
@@ -40,6 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = build_parser().parse_args(argv)
     except SystemExit as done:  # argparse has written its message or the help already
         return done.code if isinstance(done.code, int) else USAGE
+    if argv is None:
+        stop_at_once_on_signals()
     command = importlib.import_module(f"udflow.cli.{options.command}")
     try:
         with _words_only(options.traceback):
@@ -59,7 +62,7 @@ def _words_only(traceback: bool) -> Iterator[None]:
         # the reader of our output, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        _leave("interrupted; nothing was written", INTERRUPTED)
+        _leave("interrupted; no output is half written", INTERRUPTED)
     except (UsageError, InvalidConfig) as error:
         _leave(str(error), USAGE)
     except (InvalidCloud, InvalidQuery, BadField) as error:
@@ -72,7 +75,7 @@ def _words_only(traceback: bool) -> Iterator[None]:
         if traceback:
             raise
         what = str(error) or type(error).__name__
-        _leave(f"{what} (unexpected; --traceback shows where it happened)", FAILED)
+        _leave(f"{what} (unexpected; `udflow --traceback ...` shows where)", FAILED)
 
 
 def _leave(message: str, code: int) -> None:

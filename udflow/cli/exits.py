@@ -12,7 +12,7 @@ exit codes:
   2    wrong usage: an unknown option or value, or the output exists (see --force)
   3    bad input: a file is missing, damaged, or holds nothing usable
   6    failed: the fit, the extraction or the writing did not succeed
-  130  interrupted by Ctrl-C
+  130  interrupted by Ctrl-C; 143 by SIGTERM
 """
 
 

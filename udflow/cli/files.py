@@ -16,6 +16,7 @@ from udflow.cli.exits import OutputError, UsageError
 from udflow.errors import InvalidCloud
 
 STREAM = "-"
+temporary_files: set[Path] = set()  # what a signal has to remove
 
 
 @contextlib.contextmanager
@@ -29,10 +30,11 @@ def opened_input(name: str) -> Iterator[Path]:
         if name != STREAM:
             yield Path(name)
             return
-        with tempfile.NamedTemporaryFile(prefix="udflow-") as copy:
-            shutil.copyfileobj(sys.stdin.buffer, copy)
-            copy.flush()
-            yield Path(copy.name)
+        handle, copy = tempfile.mkstemp(prefix="udflow-")
+        with _temporary(copy) as path:
+            with os.fdopen(handle, "wb") as file:
+                shutil.copyfileobj(sys.stdin.buffer, file)
+            yield path
     except InvalidCloud as error:
         raise type(error)(f"{_shown(name)}: {error}") from error
     except OSError as error:
@@ -68,7 +70,7 @@ def write_output(name: str, write: Callable[[BinaryIO], Any], *, force: bool) ->
             shutil.copyfileobj(copy, sys.stdout.buffer)
         sys.stdout.buffer.flush()
         return
-    path = Path(name)
+    path = Path(os.path.realpath(name))  # through a link, not over it
     try:
         _write_file(path, write, force)
     except OSError as error:
@@ -89,6 +91,8 @@ def print_json(values: Any) -> None:
 def _check_file(path: Path, force: bool) -> None:
     if path.is_dir():
         raise UsageError(f"{path} is a folder; give the name of a file in it")
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path} is a device or pipe; use - for standard output")
     if path.exists() and not force:
         raise UsageError(f"{path} exists; choose another name or add --force")
     if not path.parent.is_dir():
@@ -96,18 +100,27 @@ def _check_file(path: Path, force: bool) -> None:
 
 
 def _write_file(path: Path, write: Callable[[BinaryIO], Any], force: bool) -> None:
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
-    try:
+    handle, name = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
+    with _temporary(name) as temporary:
         with os.fdopen(handle, "wb") as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files for the owner alone
+        temporary.chmod(0o666 & ~_umask())  # mkstemp makes files for the owner alone
         _check_file(path, force)  # it may have appeared while we computed
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        temporary.replace(path)
+
+
+@contextlib.contextmanager
+def _temporary(name: str) -> Iterator[Path]:
+    """A file that is gone afterwards, whatever happens."""
+    path = Path(name)
+    temporary_files.add(path)
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+        temporary_files.discard(path)
 
 
 def _umask() -> int:
