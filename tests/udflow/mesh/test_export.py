@@ -24,6 +24,7 @@ from udflow.mesh.load import read_mesh, weld
 from udflow.mesh.mesh import Mesh
 
 UTM = (512000.0, 5403000.0, 300.0)
+DATA = Path(__file__).resolve().parents[3] / "../shared/data"
 
 
 def _sheet(n: int = 30, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
@@ -208,6 +209,24 @@ def test_read_mesh_gives_back_what_was_written(format: MeshFormat, tmp_path: Pat
     )
     if format in ("ply", "obj"):
         np.testing.assert_array_equal(found.colors, mesh.colors)
+
+
+@pytest.mark.parametrize(
+    ("name", "vertices", "faces"),
+    [
+        ("closed/spot.obj", 2930, 5856),  # has texture seams
+        ("cad/featuretype.stl", 1722, 3476),  # corners differ by rounding
+        ("cad/adis16480.stl", 3672, 7436),
+        ("cad/tray_bottom.stl", 2216, 4520),
+        ("layered/cycloidal.ply", 21384, 43368),
+    ],
+)
+def test_real_meshes_have_the_size_their_makers_say(name: str, vertices: int, faces: int) -> None:
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"needs the real file {name} in ../shared/data, which is not here")
+    mesh = read_mesh(path)
+    assert (len(mesh.vertices), len(mesh.faces)) == (vertices, faces)
 
 
 def test_obj_polygons_and_texture_seams(tmp_path: Path) -> None:
