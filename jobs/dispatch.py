@@ -21,7 +21,7 @@ from jobs.signing import sign
 
 QUEUE = "udflow"
 TASK = "worker.tasks.run"
-WORKER_SILENCE_S = 30.0  # a worker not heard of for so long is not counted
+WORKER_SILENCE_S = 15.0  # a worker not heard of for so long is not counted
 _FAILURE_TTL_S = 3600
 
 

@@ -22,7 +22,7 @@ def listen(host: str, port: int) -> socket.socket:
         family, kind, protocol, _, address = found[0]
         server = socket.socket(family, kind, protocol)
     except OSError as error:
-        raise CannotListen(f"HOST={host} is no address of this machine: {error}") from error
+        raise CannotListen(f"UDFLOW_HOST={host} is no address of this machine: {error}") from error
     try:
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import redis
@@ -12,7 +13,7 @@ import redis
 from jobs.records import JobRecords
 from jobs.spec import JobRecord
 from udflow.errors import Canceled
-from udflow.progress import Progress, Stage
+from udflow.progress import Progress
 from worker.estimate import TimeLeft
 
 log = logging.getLogger("worker")
@@ -38,8 +39,7 @@ class Reporter:
         self._job = job
         self._left = TimeLeft()
         self._began = time.monotonic()
-        self._stage: Stage | None = None
-        self._round = 0
+        self._last: Progress | None = None
         self._next = 0.0
         self._unsent: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_MOST_UNSENT)
 
@@ -51,11 +51,11 @@ class Reporter:
             JobLost: the job is not this attempt's any more.
         """
         values = self._values(progress, share)
-        if progress.stage != self._stage:
+        last, self._last = self._last, progress
+        if last is None or progress.stage != last.stage:
             self._unsent.append(("stage", values))
-        if progress.round != self._round and progress.round > 0:
+        if progress.round > (0 if last is None else last.round):
             self._unsent.append(("densify", values))
-        self._stage, self._round = progress.stage, progress.round
         now = time.monotonic()
         if now < self._next and not self._unsent:
             return
@@ -66,6 +66,11 @@ class Reporter:
         except redis.RedisError as error:
             log.warning("cannot report on %s: %s", self._job.id, error)
             self._next = now + _RETRY_S
+
+    def report_files(self, done: int, total: int, share: float) -> None:
+        """As `report`, while the files of the result are written."""
+        last = self._last or Progress("exporting", 0, total, 1.0, 0.0, 0)
+        self.report(replace(last, stage="exporting", step=done, total=total), share)
 
     def _values(self, progress: Progress, share: float) -> dict[str, Any]:
         elapsed_s = time.monotonic() - self._began

@@ -14,6 +14,7 @@ from typing import Any
 
 import redis
 from rq import Queue, Worker
+from rq.exceptions import DeserializationError, NoSuchJobError
 from rq.executions import Execution
 from rq.job import Job
 from rq.serializers import JSONSerializer
@@ -49,8 +50,17 @@ class AllowedJob(Job):
     call whatever dotted name stands in Redis."""
 
     def restore(self, raw_data: dict[bytes, bytes]) -> Any:
-        """Take over what Redis holds, without anything that could run other code."""
-        return super().restore({k: v for k, v in raw_data.items() if k in _ALLOWED_FIELDS})
+        """Take over what Redis holds, without anything that could run other code.
+
+        Raises:
+            NoSuchJobError: it is malformed. RQ passes over such tasks; other errors would end it.
+        """
+        kept = {name: value for name, value in raw_data.items() if name in _ALLOWED_FIELDS}
+        try:
+            return super().restore(kept)
+        except Exception as error:  # whatever RQ's parsing of foreign bytes may raise
+            log.warning("malformed task %s: %s", self.id, error)
+            raise NoSuchJobError(f"malformed task: {error}") from error
 
     @property
     def func(self) -> Callable[..., None]:
@@ -146,7 +156,7 @@ class FitWorker(Worker):
         try:
             job_id, attempt, mac = job.args
             verify(self._secret, job_id, attempt, mac)
-        except (InvalidMac, ValueError, TypeError, AttributeError):
+        except (InvalidMac, DeserializationError, ValueError, TypeError, AttributeError):
             return None
         record = self._records.get(job_id)
         if record is None or record.attempt != attempt or self._horse_exit is None:

@@ -114,11 +114,10 @@ def _store(
     lease: LeaseKeeper,
 ) -> dict[str, Artifact]:
     files = list(outputs_of(result))
-    points = len(result.points.points)
     stored: dict[str, Artifact] = {}
     for done, file in enumerate(files):
         share = _FIT_SHARE + (1.0 - _FIT_SHARE) * done / len(files)
-        reporter.report(Progress("exporting", done, len(files), 1.0, 0.0, points), share)
+        reporter.report_files(done, len(files), share)
         stored[file.name] = store.put_artifact(job.id, job.attempt, file.name, file.write)
         lease.advance()
     return stored
