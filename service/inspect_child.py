@@ -54,7 +54,9 @@ def main() -> None:
     try:
         result = verdict(Path(path))
     except MemoryError:
-        result = {"code": "scan_too_costly", "detail": "it needs more memory than is allowed"}
+        allowed = f"{int(memory_bytes) >> 20} MB"
+        detail = f"reading the scan needs more memory than the {allowed} allowed; thin it out first"
+        result = {"code": "scan_too_costly", "detail": detail}
     print(json.dumps(result))  # noqa: T201
 
 

@@ -120,8 +120,21 @@ def document(app: FastAPI) -> dict[str, Any]:
         ]
         _, definitions = models_json_schema(named, ref_template="#/components/schemas/{model}")
         schema["components"]["schemas"] |= definitions["$defs"]
-        # FastAPI announces its own form of validation errors, which never leaves this service
-        for name in ("HTTPValidationError", "ValidationError"):
-            schema["components"]["schemas"].pop(name, None)
+        _forget_other_errors(schema)
+        schema["components"]["securitySchemes"] = {
+            "key": {"type": "http", "scheme": "bearer", "description": "where a key is configured"}
+        }
+        schema["security"] = [{}, {"key": []}]
         app.openapi_schema = schema
     return app.openapi_schema
+
+
+def _forget_other_errors(schema: dict[str, Any]) -> None:
+    """FastAPI announces its own form of validation errors, which never leaves this service."""
+    for name in ("HTTPValidationError", "ValidationError"):
+        schema["components"]["schemas"].pop(name, None)
+    for path in schema["paths"].values():
+        for operation in path.values():
+            answer = operation["responses"].get("422", {})
+            if "application/json" in answer.get("content", {}):
+                operation["responses"]["422"] = problems(422)[422]

@@ -62,7 +62,7 @@ class Problem(Exception):
         code: one of PROBLEMS; decides status and title.
         detail: cause and remedy in words.
         errors: what is wrong where: (pointer, code, message). The pointer is "#/a/b" for a value
-            of the JSON body, "?name" for a query parameter.
+            of the body, "?name" for a query parameter, "header:name" for a header.
         headers: extra response headers.
         members: extra members of the problem object.
     """
@@ -127,8 +127,8 @@ def from_validation(errors: Sequence[Any]) -> Problem:
 
 
 def _pointer(location: Sequence[Any]) -> str:
-    if location and location[0] in ("query", "path", "header"):
-        return f"?{location[-1]}"
+    if location and location[0] in ("query", "header"):
+        return f"?{location[1]}" if location[0] == "query" else f"header:{location[1]}"
     parts = [str(part).replace("~", "~0").replace("/", "~1") for part in location]
     return "/".join(["#", *parts])
 

@@ -6,7 +6,7 @@ import hashlib
 from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
@@ -28,6 +28,7 @@ from service.services import Needs, Services
 
 MAX_WAIT_S = 60.0
 POLL_AFTER = {"Retry-After": "1"}
+IdempotencyKey = Annotated[str | None, Header(min_length=1, max_length=255)]
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
@@ -40,10 +41,12 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
     responses=problems(400, 404, 408, 413, 415, 422, 429, 503, 507),
     openapi_extra={"requestBody": job_request_body()},
 )
-async def create_job(request: Request, services: Needs) -> JSONResponse:
+async def create_job(
+    request: Request, services: Needs, idempotency_key: IdempotencyKey = None
+) -> JSONResponse:
     """Queues a job for an uploaded scan (JSON), or uploads and queues in one go (form).
 
-    The header `Idempotency-Key` makes a repeated request harmless: the first job comes back.
+    With an `Idempotency-Key` a repeated request is harmless: the first job comes back.
     """
     if is_form(request):
         wish = await _wish_with_file(request, services)
@@ -52,8 +55,7 @@ async def create_job(request: Request, services: Needs) -> JSONResponse:
         # before the scan is looked for: a wrong parameter is told even if the id is wrong too
         complete_config(wish.preset, wish.config)
         await run_in_threadpool(_require_scan, wish.scan_id, services)
-    key = request.headers.get("idempotency-key")
-    created = await run_in_threadpool(_submit, wish, key, services)
+    created = await run_in_threadpool(_submit, wish, idempotency_key, services)
     view = await run_in_threadpool(job_view, created.record, services.records)
     headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
     if created.replayed:
@@ -78,8 +80,6 @@ def _require_scan(scan_id: str, services: Services) -> None:
 
 
 def _submit(wish: JobCreate, key: str | None, services: Services) -> Created:
-    if key is not None and not 0 < len(key) <= 255:
-        raise invalid("?Idempotency-Key", "invalid_value", "use 1 to 255 characters")
     config = complete_config(wish.preset, wish.config)
     spec = JobSpec.new(wish.scan_id, config, dict(wish.metadata))
     idempotency = None if key is None else Idempotency.of(key, wish.model_dump(mode="json"))

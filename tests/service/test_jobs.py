@@ -149,6 +149,8 @@ def test_the_same_request_twice_is_one_job(client: httpx.Client, scan: dict[str,
     assert again.headers["idempotency-replayed"] == "true"
     other = client.post("/v1/jobs", json=body | {"config": {"seed": 1}}, headers=headers)
     assert (other.status_code, other.json()["code"]) == (422, "idempotency_conflict")
+    long = client.post("/v1/jobs", json=body, headers={"idempotency-key": "x" * 300})
+    assert long.json()["errors"][0]["pointer"] == "header:idempotency-key"
 
 
 @pytest.mark.parametrize("part", ["", "/events", "/mesh", "/points", "/field", "/report"])
