@@ -11,6 +11,9 @@ QUEUED = "udflow:jobs:queued"  # sorted set by creation time; member leaves when
 LEASES = "udflow:jobs:leases"  # sorted set by end of lease; member leaves at the terminal state
 EXPIRING = "udflow:jobs:expiring"  # sorted set by end of retention; member leaves with its record
 
+UNSAVED = "udflow:jobs:unsaved"  # set of ended jobs; member leaves when the reaper has saved it
+RESTORED = "udflow:restored"  # string; as long as this Redis remembers anything at all
+
 
 def job(job_id: str) -> str:
     """Hash, the job record: from creation until its retention ends."""

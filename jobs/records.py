@@ -287,6 +287,30 @@ class JobRecords:
         found: list[str] = self._redis.zrangebyscore(keys.EXPIRING, "-inf", now)
         return found
 
+    # what a Redis that forgot everything is rebuilt from
+
+    def unsaved(self) -> list[JobRecord]:
+        """Ended jobs that `mark_saved` was not called for."""
+        return self._fetch(self._redis.smembers(keys.UNSAVED))
+
+    def mark_saved(self, job_id: str) -> None:
+        """The record is on disk."""
+        self._redis.srem(keys.UNSAVED, job_id)
+
+    def restore(self, values: Mapping[str, Any]) -> bool:
+        """Bring an ended job back from `JobRecord.to_dict`. False: it is there already."""
+        fields = _texts(values)
+        said = (fields[name] for name in ("state", "attempt", "error", "expires_at"))
+        return bool(self._run(scripts.RESTORE, values["id"], *said, *_flat(fields)))
+
+    def is_restored(self) -> bool:
+        """Whether this Redis still knows what it was told."""
+        return bool(self._redis.exists(keys.RESTORED))
+
+    def mark_restored(self) -> None:
+        """Everything from the disk has been brought back."""
+        self._redis.set(keys.RESTORED, "1")
+
     def _fetch(self, ids: Iterable[str]) -> list[JobRecord]:
         with self._redis.pipeline(transaction=False) as pipe:
             for job_id in ids:
@@ -306,6 +330,7 @@ class JobRecords:
             keys.QUEUED,
             keys.LEASES,
             keys.EXPIRING,
+            keys.UNSAVED,
         ]
         if extra_key is not None:
             names.append(extra_key)

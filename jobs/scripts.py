@@ -7,9 +7,9 @@ job can waste time, never change a result. Time is the clock of Redis.
 
 from jobs.keys import EVENTS_KEPT, EVENTS_LIFE_S, IDEMPOTENCY_LIFE_S, RECORD_MARGIN_S
 
-# KEYS 1..6 and ARGV 1 are the same in every script.
+# KEYS 1..7 and ARGV 1 are the same in every script.
 _PRELUDE = f"""
-local JOB, EVENTS, INDEX, QUEUED, LEASES, EXPIRING = unpack(KEYS)
+local JOB, EVENTS, INDEX, QUEUED, LEASES, EXPIRING, UNSAVED = unpack(KEYS)
 local ID = ARGV[1]
 
 local function now()
@@ -46,6 +46,7 @@ local function end_as(state, attempt, failure)
   redis.call('ZREM', QUEUED, ID)
   redis.call('ZREM', LEASES, ID)
   redis.call('ZADD', EXPIRING, stamp(time + kept), ID)
+  redis.call('SADD', UNSAVED, ID)
   emit_state('state', state, attempt, failure)
   emit_state('end', state, attempt, failure)
   redis.call('EXPIRE', EVENTS, {EVENTS_LIFE_S})
@@ -53,13 +54,13 @@ local function end_as(state, attempt, failure)
 end
 """
 
-# KEYS 7: idempotency. ARGV: id, body digest or '', most queued or '', created_at, field, value...
+# KEYS 8: idempotency. ARGV: id, body digest or '', most queued or '', created_at, field, value...
 CREATE = (
     _PRELUDE
     + f"""
 local digest, limit = ARGV[2], tonumber(ARGV[3])
 if digest ~= '' then
-  local seen = redis.call('GET', KEYS[7])
+  local seen = redis.call('GET', KEYS[8])
   if seen then
     local known, other = string.match(seen, '^(%x+) (.+)$')
     if known ~= digest then return {{'conflict', other}} end
@@ -73,7 +74,7 @@ redis.call('ZADD', INDEX, 0, ID)
 redis.call('ZADD', QUEUED, ARGV[4], ID)
 emit_state('state', 'queued', 1, '')
 if digest ~= '' then
-  redis.call('SET', KEYS[7], digest .. ' ' .. ID, 'EX', {IDEMPOTENCY_LIFE_S})
+  redis.call('SET', KEYS[8], digest .. ' ' .. ID, 'EX', {IDEMPOTENCY_LIFE_S})
 end
 return {{'created', ID}}
 """
@@ -199,20 +200,37 @@ return 1
 """
 )
 
-# KEYS 7: tombstone. ARGV: id, tombstone seconds, force 0/1
+# KEYS 8: tombstone. ARGV: id, tombstone seconds, force 0/1
 DELETE = (
     _PRELUDE
     + """
 local state = redis.call('HGET', JOB, 'state')
 if state and ARGV[3] == '0' and (state == 'queued' or is_held(state)) then return 0 end
-if state then redis.call('SET', KEYS[7], '1', 'EX', ARGV[2]) end
+if state then redis.call('SET', KEYS[8], '1', 'EX', ARGV[2]) end
 redis.call('DEL', JOB, EVENTS)
+redis.call('SREM', UNSAVED, ID)
 for _, set in ipairs({INDEX, QUEUED, LEASES, EXPIRING}) do redis.call('ZREM', set, ID) end
 return 1
 """
 )
 
-# ARGV: none. KEYS 5: leases. The ids whose lease is over.
+# ARGV: id, state, attempt, error, expires_at, field, value... An ended job, forgotten by Redis.
+RESTORE = (
+    _PRELUDE
+    + f"""
+if redis.call('EXISTS', JOB) == 1 then return 0 end
+redis.call('HSET', JOB, unpack(ARGV, 6))
+redis.call('ZADD', INDEX, 0, ID)
+redis.call('ZADD', EXPIRING, ARGV[5], ID)
+emit_state('state', ARGV[2], ARGV[3], ARGV[4])
+emit_state('end', ARGV[2], ARGV[3], ARGV[4])
+redis.call('EXPIRE', EVENTS, {EVENTS_LIFE_S})
+redis.call('EXPIREAT', JOB, math.ceil(tonumber(ARGV[5])) + {RECORD_MARGIN_S})
+return 1
+"""
+)
+
+# ARGV: none. KEYS 1: leases. The ids whose lease is over.
 EXPIRED_LEASES = """
 local time = redis.call('TIME')
 local seconds = string.format('%.6f', tonumber(time[1]) + tonumber(time[2]) / 1e6)

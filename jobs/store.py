@@ -5,6 +5,7 @@ temporary name in the same folder, synced, renamed, and the folder synced.
     scans/<id>/data, scan.json     the bytes as uploaded, and what inspection found
     scans/by-sha256/<digest>       the id of the scan with these bytes
     jobs/<id>/job.json             what was asked for
+    jobs/<id>/record.json          how it ended
     jobs/<id>/a<attempt>/<name>    results of one attempt; the job record says which one counts
 """
 
@@ -24,7 +25,7 @@ from types import TracebackType
 from typing import Any
 
 from jobs.ids import is_id, new_id, require_id
-from jobs.spec import Artifact, JobSpec
+from jobs.spec import Artifact, JobRecord, JobSpec
 
 _TEMPORARY = ".part-"
 _DIGEST_CHARACTERS = frozenset("0123456789abcdef")
@@ -167,6 +168,19 @@ class FileStore:
         values = read_json(self._job_folder(job_id) / "job.json")
         return None if values is None else JobSpec.from_dict(values)
 
+    def write_record(self, record: JobRecord) -> bool:
+        """Keep how a job ended, beside what it made. False: its files have been deleted."""
+        folder = self._job_folder(record.id)
+        if not (folder / "job.json").exists():
+            return False
+        write_json(folder / "record.json", record.to_dict())
+        return True
+
+    def read_record(self, job_id: str) -> dict[str, Any] | None:
+        """How the job ended (`JobRecord.to_dict`), None if that is not known."""
+        values: dict[str, Any] | None = read_json(self._job_folder(job_id) / "record.json")
+        return values
+
     def jobs(self) -> Iterator[str]:
         """Ids of all jobs with files, oldest first."""
         names = sorted(entry.name for entry in os.scandir(self.root / "jobs"))
@@ -200,7 +214,10 @@ class FileStore:
 
     def delete_attempt(self, job_id: str, attempt: int) -> None:
         """Remove what one attempt has written."""
-        shutil.rmtree(self._job_folder(job_id) / f"a{attempt}", ignore_errors=True)
+        folder = self._job_folder(job_id)
+        shutil.rmtree(folder / f"a{attempt}", ignore_errors=True)
+        with suppress(OSError):  # not empty, as long as the job was not deleted
+            folder.rmdir()
 
     def keep_only_attempt(self, job_id: str, attempt: int) -> None:
         """Remove what other attempts left behind."""

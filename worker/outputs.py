@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from udflow.fields.storage import save_field
-from udflow.mesh.export import write_mesh, write_points
+from udflow.mesh.export import MESH_FORMATS, write_mesh, write_points
 from udflow.reconstruct import Reconstruction
 
 
@@ -22,7 +22,7 @@ class Output:
 
 def outputs_of(result: Reconstruction) -> Iterator[Output]:
     """Every file that a job leaves: meshes for tools, the dense cloud, the field, the report."""
-    for suffix in ("ply", "glb", "obj", "stl"):
+    for suffix in MESH_FORMATS:
         yield Output(f"mesh.{suffix}", lambda path: write_mesh(result.mesh, path))
     yield Output("points.ply", lambda path: write_points(result.points, path))
     yield Output("field.safetensors", lambda path: save_field(result.field, path))

@@ -49,16 +49,34 @@ class Reaper:
 
     def sweep(self) -> None:
         """Everything once. Raises redis.exceptions.RedisError when Redis does not answer."""
+        if not self._records.is_restored():
+            self.restore()
         for record in self._records.expired_leases():
             self.take_back(record)
         now = self._records.now()
         for record in self._records.active():
             self.press(record, now)
         self.deliver(self._records.queued())
+        for record in self._records.unsaved():
+            self._store.write_record(record)
+            self._records.mark_saved(record.id)
         for job_id in self._records.past_retention(now):
             self._store.delete_job(job_id)
             self._records.delete(job_id, force=True)
         self._tidy(time.monotonic())
+
+    def restore(self) -> None:
+        """Tell a Redis that is empty (new, flushed, its files lost) what the disk knows: ended
+        jobs as they ended, all others queued again."""
+        for job_id in self._store.jobs():
+            ended = self._store.read_record(job_id)
+            spec = self._store.read_job(job_id)
+            if ended is not None:
+                self._records.restore(ended)
+            elif spec is not None and not self._records.create(spec).replayed:
+                log.warning("%s was forgotten by Redis and waits again", job_id)
+                self._dispatcher.enqueue(job_id, 1)
+        self._records.mark_restored()
 
     def take_back(self, record: JobRecord) -> None:
         """Requeue a job whose lease is over."""

@@ -310,7 +310,7 @@ def test_every_key_of_a_finished_job_ends_some_day(
     job = records.create(a_spec(), Idempotency.of("k", 1)).record
     records.claim(job.id, 1)
     records.finish(job.id, 1, JobState.SUCCEEDED)
-    swept = {keys.INDEX, keys.EXPIRING}  # by Reaper, from past_retention
+    swept = {keys.INDEX, keys.EXPIRING, keys.UNSAVED}  # by the reaper
     lasting = {key for key in connection.keys("*") if connection.ttl(key) < 0}
     assert lasting == swept
     assert records.past_retention(records.now()) == []
