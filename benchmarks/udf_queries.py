@@ -1,0 +1,147 @@
+"""Distance queries a second, beside a KD-tree's nearest sample in the same run.
+
+    python benchmarks/udf_queries.py --shapes spot scorpion --save
+
+The KD-tree answers a simpler question (the distance to a sample, not to the surface); it is the
+yardstick of speed, and its error shows what the field adds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from common import (
+    DATA,
+    load,
+    markdown,
+    provenance,
+    provenance_line,
+    save,
+    scan_of,
+    shapes,
+)
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from udflow import reconstruct as method
+from udflow.cloud.point_cloud import PointCloud
+from udflow.config import from_dict
+from udflow.mesh.mesh import Mesh
+from udflow.metrics.distances import MeshDistance
+from udflow.metrics.surface import bounds, sample
+
+Array = NDArray[np.float64]
+BAND = 0.01  # of the largest extent, to both sides of the surface
+CHECKED = 20_000  # queries compared with the exact distance to the ground truth
+HEADER = (
+    "shape", "where", "field, queries/s", "KD-tree, queries/s", "ratio",
+    "field error mean / 99 %", "KD-tree error mean / 99 %",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    options = _options()
+    origin = provenance(
+        points=options.points, queries=options.queries, seed=options.seed,
+        repeats=options.repeats, device=options.device, threads=torch.get_num_threads(),
+    )  # fmt: skip
+    rows = []
+    for name, file in shapes(options.data, options.shapes):
+        rows += timed(name, load(file), options)
+    table = markdown(HEADER, [_cells(row) for row in rows])
+    print(table)
+    if options.save:
+        text = (
+            "# Distance queries\n\nErrors against exact distances to the ground truth, in 1e-3 of "
+            f"its largest extent. In the band: within {BAND} of the surface. Outside: anywhere in "
+            f"the bounding box. Best of {options.repeats} runs.\n\n{table}\n"
+            f"{provenance_line(origin)}\n"
+        )
+        save("udf_queries", {**origin, "rows": rows}, text)
+
+
+def timed(name: str, truth: Mesh, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Two rows: queries in the band and anywhere in the box."""
+    scan = scan_of(truth, options.points, 0.0, options.seed)
+    config = from_dict({"seed": options.seed, "extract": {"resolution": 32}})
+    field = method.reconstruct(PointCloud(scan), config, device=options.device).field
+    tree, exact = cKDTree(scan), MeshDistance(truth)
+    extent = bounds(truth)[1]
+    rows = []
+    for where, queries in _queries(truth, extent, options).items():
+        by_field, field_s = _best(lambda q=queries: field.query(q).distance, options.repeats)
+        by_tree, tree_s = _best(lambda q=queries: tree.query(q, workers=-1)[0], options.repeats)
+        true = exact(queries[:CHECKED])
+        rows.append(
+            {
+                "shape": name,
+                "where": where,
+                "field_per_s": round(len(queries) / field_s),
+                "kd_tree_per_s": round(len(queries) / tree_s),
+                "ratio": tree_s / field_s,
+                "field_error": _errors(by_field[:CHECKED], true, extent),
+                "kd_tree_error": _errors(by_tree[:CHECKED], true, extent),
+            }
+        )
+    return rows
+
+
+def _queries(truth: Mesh, extent: float, options: argparse.Namespace) -> dict[str, Array]:
+    generator = np.random.default_rng([options.seed, 1])
+    near = sample(truth, options.queries, generator)
+    offset = generator.uniform(-BAND, BAND, (options.queries, 1)) * extent
+    low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
+    return {
+        "in the band": near.points + offset * near.normals,
+        "in the box": generator.uniform(low, high, (options.queries, 3)),
+    }
+
+
+def _best(run: Callable[[], Array], repeats: int) -> tuple[Array, float]:
+    """The answer and the seconds of the fastest of several runs."""
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        answer = run()
+        seconds.append(time.perf_counter() - start)
+    return answer, min(seconds)
+
+
+def _errors(found: Array, true: Array, extent: float) -> dict[str, float]:
+    error = 1e3 * np.abs(found - true) / extent
+    return {"mean": float(error.mean()), "p99": float(np.percentile(error, 99))}
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    return [
+        row["shape"],
+        row["where"],
+        f"{row['field_per_s']:,}",
+        f"{row['kd_tree_per_s']:,}",
+        f"{row['ratio']:.2f}",
+        *(f"{row[e]['mean']:.3f} / {row[e]['p99']:.3f}" for e in ("field_error", "kd_tree_error")),
+    ]
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, default=DATA, help="folder with closed, cad, ...")
+    parser.add_argument("--shapes", nargs="+", default=["spot"], metavar="NAME")
+    parser.add_argument("--points", type=int, default=30_000)
+    parser.add_argument("--queries", type=int, default=1_000_000)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", action="store_true", help="write docs/results")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
