@@ -1,0 +1,98 @@
+"""The examples run as their readers would run them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from api_process import free_port, wait_until_up
+from shapes import Sphere
+
+from udflow.mesh.load import read_mesh
+
+ROOT = Path(__file__).resolve().parent.parent
+KEY = secrets.token_hex(16)
+QUICK = {"densify": {"target_points": 0}, "extract": {"resolution": 32}}
+
+
+def example(name: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "examples" / f"{name}.py"), *arguments]
+    return subprocess.run(
+        command, env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+
+
+def test_every_example_is_run_here() -> None:
+    names = {path.stem for path in (ROOT / "examples").glob("*.py")}
+    assert names == {"reconstruct_in_memory", "http_client"}
+
+
+def test_reconstruct_in_memory(tmp_path: Path) -> None:
+    done = example("reconstruct_in_memory", str(tmp_path / "torus.glb"))
+    assert done.returncode == 0, done.stderr
+    assert "100% exporting" in done.stdout
+    inside = re.search(r"inside: ([\d.]+)", done.stdout)
+    above = re.search(r"above the top: +([\d.]+)", done.stdout)
+    assert inside is not None
+    assert above is not None
+    assert float(inside[1]) == pytest.approx(0.4, abs=0.03)
+    assert float(above[1]) == pytest.approx(0.5, abs=0.03)
+    assert len(read_mesh(tmp_path / "torus.glb").faces) > 1_000
+
+
+@pytest.fixture(scope="module")
+def guarded_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a whole running service that asks for a key."""
+    folder, port = tmp_path_factory.mktemp("guarded"), free_port()
+    environment = {
+        **{name: value for name, value in os.environ.items() if name != "REDIS_URL"},
+        "PORT": str(port),
+        "UDFLOW_KEY": KEY,
+        "UDFLOW_DATA": str(folder / "data"),
+    }
+    command = [sys.executable, "-m", "service.up"]
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=log, stderr=log, start_new_session=True
+        )
+    url = f"http://127.0.0.1:{port}"
+    try:
+        wait_until_up(url, process, "/readyz", 90)
+        yield url
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(20)
+
+
+def test_http_client(guarded_service: str, tmp_path: Path) -> None:
+    scan, mesh = tmp_path / "scan.npy", tmp_path / "mesh.ply"
+    np.save(scan, Sphere().sample(1_500).numpy())
+    arguments = [str(scan), str(mesh), "--url", guarded_service, "--config", json.dumps(QUICK)]
+    done = example("http_client", *arguments, UDFLOW_KEY=KEY)
+    assert done.returncode == 0, done.stderr
+    assert "extracting" in done.stdout
+    distance = re.search(r"the origin is ([\d.]+) from the surface", done.stdout)
+    assert distance is not None
+    assert float(distance[1]) == pytest.approx(0.5, abs=0.02)
+    radius = np.linalg.norm(read_mesh(mesh).vertices, axis=1)
+    np.testing.assert_allclose(radius, 0.5, atol=0.02)
+
+
+def test_http_client_says_why_a_scan_is_refused(guarded_service: str, tmp_path: Path) -> None:
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 9\n")
+    arguments = [str(scan), str(tmp_path / "mesh.ply"), "--url", guarded_service]
+    done = example("http_client", *arguments, UDFLOW_KEY=KEY)
+    assert done.returncode == 1
+    assert done.stderr.startswith("refused: ")
+    done = example("http_client", *arguments, UDFLOW_KEY="wrong")
+    assert "Authorization: Bearer" in done.stderr
