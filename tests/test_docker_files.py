@@ -418,7 +418,7 @@ def test_parts_share_their_data() -> None:
 
 def test_the_gpu_override_changes_only_parts_that_are_there() -> None:
     base, override = compose()["services"], compose("docker-compose.gpu.yml")["services"]
-    assert set(override) == {"worker", "reaper"}
+    assert set(override) == {"service", "worker", "reaper"}
     for name, part in override.items():
         assert part["build"]["args"] == {"ACCELERATOR": "cuda"}
         assert part["image"] != base[name]["image"]
