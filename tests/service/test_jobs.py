@@ -230,9 +230,12 @@ def test_waiting_for_any_change(started: str, client: httpx.Client, records: Job
         0.3, lambda: records.update(started, 1, ("progress", {"progress": 0.5}), progress=0.5)
     )
     change.start()
-    answer = client.get(f"/v1/jobs/{started}", params={"wait": 20}, headers={"if-none-match": etag})
+    began = time.monotonic()
+    headers = {"if-none-match": etag}
+    answer = client.get(f"/v1/jobs/{started}", params={"wait": 20}, headers=headers)
     change.join()
     assert (answer.status_code, answer.json()["progress"]) == (200, 0.5)
+    assert 0.2 < time.monotonic() - began < 5
 
 
 def test_waiting_has_an_end(started: str, client: httpx.Client) -> None:
