@@ -174,6 +174,8 @@ def test_a_missing_half_shows_in_completeness_only() -> None:
     assert result.accuracy.maximum == pytest.approx(0, abs=1e-9)
     assert result.completeness.maximum == pytest.approx(500, rel=0.01)
     assert result.completeness.mean == pytest.approx(125, rel=0.03)  # half of it is 250 off
+    # both ways count: 125 from the reference, next to nothing from the mesh
+    assert result.chamfer.value == pytest.approx(125 / 2, rel=0.08)
     # half of the reference is found by all of the mesh: 2 * 1 * 1/2 / (3/2)
     assert result.f_score_010.value == pytest.approx(2 / 3, abs=0.05)
 
@@ -364,6 +366,15 @@ def test_scene_protocol_crops_to_the_scan_and_flatters_normals() -> None:
         evaluate_protocol(grid(), grid(), "capudf-3dscene")
     with pytest.raises(EmptySurface, match="same frame"):
         evaluate_protocol(grid(), grid(), "capudf-3dscene", scan=scan + 5)
+
+
+def test_scene_protocol_drops_faces_that_only_begin_at_the_scan() -> None:
+    scan = sample(grid(), 30_000, np.random.default_rng(5)).points
+    spike = Mesh(np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0, 5]]), np.array([[0, 1, 2]]))
+    result = evaluate_protocol(
+        joined(grid(), spike), grid(), "capudf-3dscene", scan=scan, samples=20_000
+    )
+    assert result.figures["chamfer-L1"] < 0.005
 
 
 def test_normal_consistency_per_component_is_never_smaller() -> None:
