@@ -33,11 +33,16 @@ class SampledSurface:
         return cls(samples, tree, fit_quadrics(samples, tree))
 
     @property
-    def spacing(self) -> float:
-        """Median distance between neighbouring samples on the surface, unit frame."""
+    def spacings(self) -> Tensor:
+        """(n,) distance between samples on the surface around each, unit frame."""
         # the reach is twice the distance of the sixth neighbour, which in a random sample of a
         # surface with one point per a^2 lies at about 1.3 a
-        return float(self.quadrics.reach.median()) / 2.6
+        return self.quadrics.reach / 2.6
+
+    @property
+    def spacing(self) -> float:
+        """Median of the spacings."""
+        return float(self.spacings.median())
 
     @property
     def error(self) -> float:

@@ -7,6 +7,7 @@ and the nearer to the surface the smaller its time.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -31,6 +32,9 @@ def quadratic_weights(r: Tensor) -> tuple[Tensor, Tensor]:
     values = torch.stack([0.5 * (0.5 - r) ** 2, 0.75 - r * r, 0.5 * (0.5 + r) ** 2], dim=1)
     slopes = torch.stack([r - 0.5, -2 * r, r + 0.5], dim=1)
     return values, slopes
+
+
+_CURVATURES = (1.0, -2.0, 1.0)  # second derivatives of the three splines, anywhere in a cell
 
 
 def _weighted(block: Tensor, axis: int, weights: Tensor) -> Tensor:
@@ -96,11 +100,7 @@ class SplineLevel:
     def gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """grad E of (n, 3) points, a length vector (the displacement x - foot), and (n,) bool
         that says where it is defined; zero elsewhere."""
-        cell, r = self._cell(points)
-        inside = cell >= 0
-        # one row per node and one column per point: every step below runs over long rows
-        block = self.rows[cell.clamp_min(0)].T.contiguous().view(3, 3, 3, -1)
-        values, slopes = quadratic_weights(r.T.contiguous())
+        inside, block, values, slopes = self._around(points)
         along_z, along_dz = _weighted(block, 2, values[2]), _weighted(block, 2, slopes[2])
         along_yz = _weighted(along_z, 1, values[1])
         gradient = torch.stack(
@@ -113,10 +113,53 @@ class SplineLevel:
         )
         return gradient * (self.grid.spacing * inside[:, None]), inside
 
+    def normal_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """(Hess E) grad E of (n, 3) points, and where it is defined, as in `gradient`.
+
+        The Hessian of dist^2 / 2 near the surface is the projector n n^T on the normal (near a
+        rim or a crease, on the normal plane of the curve), so that for the ideal energy this is
+        grad E itself. For a fitted one it leaves out what grad E has along the surface.
+        """
+        inside, block, values, slopes = self._around(points)
+        curvatures = torch.tensor(_CURVATURES, device=points.device)[:, None]
+        z, dz = _weighted(block, 2, values[2]), _weighted(block, 2, slopes[2])
+        ddz = _weighted(block, 2, curvatures)
+        y_z, dy_z = _weighted(z, 1, values[1]), _weighted(z, 1, slopes[1])
+        ddy_z, y_dz = _weighted(z, 1, curvatures), _weighted(dz, 1, values[1])
+        dy_dz, y_ddz = _weighted(dz, 1, slopes[1]), _weighted(ddz, 1, values[1])
+
+        gx = _weighted(y_z, 0, slopes[0])
+        gy, gz = _weighted(dy_z, 0, values[0]), _weighted(y_dz, 0, values[0])
+        hxx = _weighted(y_z, 0, curvatures)
+        hxy, hxz = _weighted(dy_z, 0, slopes[0]), _weighted(y_dz, 0, slopes[0])
+        hyy, hyz = _weighted(ddy_z, 0, values[0]), _weighted(dy_dz, 0, values[0])
+        hzz = _weighted(y_ddz, 0, values[0])
+        product = torch.stack(
+            [
+                hxx * gx + hxy * gy + hxz * gz,
+                hxy * gx + hyy * gy + hyz * gz,
+                hxz * gx + hyz * gy + hzz * gz,
+            ],
+            dim=1,
+        )
+        return product * (self.grid.spacing * inside[:, None]), inside
+
+    def _around(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Where points are covered, (n,); their coefficients, (3, 3, 3, n); and the weights of
+        these for values and slopes, (3, 3, n) each."""
+        cell, r = self._cell(points)
+        # one row per node and one column per point: every later step runs over long rows
+        block = self.rows[cell.clamp_min(0)].T.contiguous().view(3, 3, 3, -1)
+        values, slopes = quadratic_weights(r.T.contiguous())
+        return cell >= 0, block, values, slopes
+
     def _cell(self, points: Tensor) -> tuple[Tensor, Tensor]:
         local = (points - self.grid.origin) / self.grid.spacing
         nearest = local.round()
         return self.grid.cells.find(nearest.long()), local - nearest
+
+
+_Answer = Callable[[SplineLevel, Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
@@ -138,22 +181,24 @@ class SplineField:
         """
         times = self.schedule.times
         first = next((i for i, time in enumerate(times) if time >= t - 1e-9), len(times) - 1)
-        gradient, inside = self.levels[first].gradient(points)
+        return self._finest(SplineLevel.gradient, points, first) / t
+
+    def _finest(self, answer: _Answer, points: Tensor, first: int) -> Tensor:
+        """The answer of the finest level from `first` on that covers each point, (n, 3)."""
+        result, inside = answer(self.levels[first], points)
         for level in self.levels[first + 1 :]:
             missing = (~inside).nonzero().squeeze(1)
             if len(missing) == 0:
                 break
-            found, ok = level.gradient(points[missing])
-            gradient[missing] = found
-            inside[missing] = ok
-        return gradient / t
+            result[missing], inside[missing] = answer(level, points[missing])
+        return result
 
     def project(self, points: Tensor) -> Tensor:
         """Feet of (n, 3) points by reverse integration, equation (4).
 
         A point near the surface is the state of a longer trajectory at a small time, so each
         point starts at the smallest t_k whose band covers it. The last step, to t = 0, is a full
-        projection; it is made twice.
+        projection (dt_1 v(x, t_1) = grad E); it is made twice, and along the normal only.
         """
         if len(points) == 0:
             return points
@@ -168,7 +213,7 @@ class SplineField:
                 velocity = self.velocity(x[moving], self.schedule.time(k))
                 x[moving] = x[moving] - self.schedule.step(k) * velocity
         for _ in range(_REFINEMENTS):
-            x = x - self.schedule.step(1) * self.velocity(x, self.schedule.time(1))
+            x = x - self._finest(SplineLevel.normal_gradient, x, 0)
         return x
 
     def _start(self, points: Tensor) -> Tensor:

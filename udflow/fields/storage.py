@@ -65,8 +65,11 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
             header = json.loads((file.metadata() or {}).get("udflow", "{}"))
             _check_header(header)
             levels = tuple(
-                _level(described, file.get_tensor(f"level{i}.coefficients"),
-                       file.get_tensor(f"level{i}.cells"))
+                _level(
+                    described,
+                    file.get_tensor(f"level{i}.coefficients"),
+                    file.get_tensor(f"level{i}.cells"),
+                )
                 for i, described in enumerate(header["levels"])
             )
         x, y, z = (float(c) for c in header["centre"])
@@ -101,8 +104,10 @@ def _level(described: dict[str, Any], coefficients: Tensor, cells: Tensor) -> Sp
         raise BadField("a level of the field claims an impossible grid")
     coordinates = cells.long()
     upper = torch.tensor([nx, ny, nz], device=cells.device) - 1
-    if cells.ndim != 2 or cells.shape[1] != 3 or bool(
-        ((coordinates < 1) | (coordinates >= upper)).any()
+    if (
+        cells.ndim != 2
+        or cells.shape[1] != 3
+        or bool(((coordinates < 1) | (coordinates >= upper)).any())
     ):
         raise BadField("a level of the field has cells outside its grid")
     active = SparseLattice.from_distinct(coordinates, (nx, ny, nz))

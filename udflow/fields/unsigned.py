@@ -62,9 +62,7 @@ class UnsignedDistanceField:
             InvalidQuery: not (n, 3), or a coordinate is not finite; the message names the row.
         """
         points = checked_queries(points)
-        parts = [
-            self._query(points[i : i + _CHUNK]) for i in range(0, max(len(points), 1), _CHUNK)
-        ]
+        parts = [self._query(points[i : i + _CHUNK]) for i in range(0, max(len(points), 1), _CHUNK)]
         return FieldAnswer(
             *(
                 np.concatenate([getattr(part, name) for part in parts])

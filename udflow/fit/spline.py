@@ -17,12 +17,14 @@ from udflow.flow.schedule import TimeSchedule
 
 BOX = 1.5  # half edge of the trained box: three times the cloud's largest extent
 _DILATION = 2  # cells around the samples' cells that may belong to a band
+_SPARSE_CELLS = 2.5  # local spacing, in cells, that is too wide for a level
+_SPARSE = 2.5  # local spacing, in median spacings, that is too wide for the finest level
 _BAND = 1.75  # half width of a band in cells
 _CELL_PER_SPACING = 0.8  # edge of a cell where there are many samples
 _FINE_CELL_PER_SPACING = 0.5  # where there are few: finer cells follow the quadrics more closely
 _FINE_RESOLUTION = 144  # and cost nothing below this resolution
 _SMOOTHNESS = 1e-2
-_COARSEST = 8  # cells along the largest extent that the coarsest level never goes below
+_COARSEST = 8  # cells along the largest extent: no level is coarser, the whole box is no finer
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def trajectories(
         grow in proportion to t_k, so that a level's band holds the states at t_k of all
         trajectories that start in the coarsest band.
     """
-    grid = _candidates(surface.samples, schedule, k, finest)
+    grid = _candidates(surface, schedule, k, finest)
     centres = grid.centres()
     displacement = centres - surface.project(centres)
     near = displacement.norm(dim=1) <= _BAND * grid.spacing
@@ -92,10 +94,12 @@ def trajectories(
     return SplineGrid(grid.origin, grid.spacing, cells, cells.dilated(1)), displacement[near]
 
 
-def _candidates(samples: Tensor, schedule: TimeSchedule, k: int, finest: int) -> SplineGrid:
-    growth = schedule.time(k) / schedule.time(1)
-    spacing = 1.0 / max(finest / growth, min(_COARSEST, finest))
+def _candidates(surface: SampledSurface, schedule: TimeSchedule, k: int, finest: int) -> SplineGrid:
+    """Cells around the samples; samples too far apart for these cells wait for a coarser level."""
+    samples = surface.samples
     whole_box = k == schedule.steps
+    growth = schedule.time(k) / schedule.time(1)
+    spacing = 1.0 / (_COARSEST if whole_box else max(finest / growth, _COARSEST))
     extent = BOX if whole_box else float(samples.abs().max())
     half = extent + (_DILATION + 2) * spacing
     points = int(2 * half / spacing) + 2
@@ -106,6 +110,7 @@ def _candidates(samples: Tensor, schedule: TimeSchedule, k: int, finest: int) ->
         mask[1:-1, 1:-1, 1:-1] = True
         cells = SparseLattice.from_mask(mask)
     else:
-        nearest = ((samples - origin) / spacing).round().long()
+        dense = samples[surface.spacings <= max(_SPARSE_CELLS * spacing, _SPARSE * surface.spacing)]
+        nearest = ((dense - origin) / spacing).round().long()
         cells = SparseLattice.from_mask(occupied_mask(nearest, shape)).dilated(_DILATION)
     return SplineGrid(origin, spacing, cells, cells)
