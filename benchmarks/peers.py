@@ -6,7 +6,7 @@ the system libraries libusb-1.0-0, libgl1 and libgomp1.
 
 from __future__ import annotations
 
-import importlib.util
+import subprocess
 import sys
 from typing import Any
 
@@ -17,21 +17,18 @@ NEIGHBOURS = 30
 POISSON_DEPTH = 8
 
 
-def missing() -> str | None:
-    """Why peers cannot run here, or None."""
-    if importlib.util.find_spec("open3d") is None:
-        return (
-            "open3d is not installed, so there are no peers in this table; install open3d into "
-            "this environment (and libusb-1.0-0, libgl1, libgomp1 into the system) for --peers"
-        )
-    try:
-        import open3d  # noqa: F401
-    except OSError as error:
-        return (
-            f"open3d is installed but does not load ({error}); it needs the system libraries "
-            "libusb-1.0-0, libgl1 and libgomp1"
-        )
-    return None
+def missing(python: str) -> str | None:
+    """Why peers cannot run with this Python, or None."""
+    tried = subprocess.run(
+        [python, "-c", "import open3d"], capture_output=True, text=True, check=False
+    )
+    if tried.returncode == 0:
+        return None
+    reason = (tried.stderr.strip().splitlines() or ["no reason given"])[-1]
+    return (
+        f"no peers in this table, since open3d cannot be imported ({reason}); install open3d for "
+        "that Python, and libusb-1.0-0, libgl1 and libgomp1 into the system"
+    )
 
 
 def main(method: str, cloud_path: str, mesh_path: str) -> None:

@@ -89,7 +89,7 @@ def measured(
 
 def _command(method: str, cloud: Path, mesh: Path, options: argparse.Namespace) -> list[str]:
     if method != "udflow":
-        return [sys.executable, str(Path(peers.__file__)), method, str(cloud), str(mesh)]
+        return [options.peers, str(Path(peers.__file__)), method, str(cloud), str(mesh)]
     command = [sys.executable, "-m", "udflow", "reconstruct", str(cloud), "-o", str(mesh)]
     command += ["--quiet", "--seed", str(options.seed), "--resolution", str(options.resolution)]
     for assignment in options.set:
@@ -150,10 +150,10 @@ def _publish(rows: list[dict[str, Any]], origin: dict[str, Any], condition: str)
     save(f"starting_marks_{condition}", {**origin, "rows": rows}, text)
 
 
-def _peers(asked: bool) -> list[str]:
-    if not asked:
+def _peers(python: str | None) -> list[str]:
+    if python is None:
         return []
-    if reason := peers.missing():
+    if reason := peers.missing(python):
         print(reason, file=sys.stderr)
         return []
     return list(peers.METHODS)
@@ -170,7 +170,13 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--samples", type=int, default=100_000, help="for the metrics")
-    parser.add_argument("--peers", action="store_true", help="run Open3D in the same table")
+    parser.add_argument(
+        "--peers",
+        nargs="?",
+        const=sys.executable,
+        metavar="PYTHON",
+        help="run Open3D in the same table; a Python that has it, default: this one",
+    )
     parser.add_argument("--save", action="store_true", help="write docs/results")
     return parser.parse_args()
 
