@@ -93,6 +93,7 @@ class _Run:
         self.normalisation = Normalisation.of(cloud.points)
         unit = np.unique(self.normalisation.to_unit(cloud.points), axis=0)
         self.measured = torch.from_numpy(unit).to(device)
+        self._quadrics: SampledSurface | None = None
         self.samples = self.measured
         self.generator = torch.Generator().manual_seed(config.seed)
         self.rounds = densify.rounds_needed(len(unit), config.densify)
@@ -123,8 +124,7 @@ class _Run:
 
     def _fitted(self, stage: Stage) -> Generator[Progress, None, SplineFit]:
         yield self._progress(stage, 0, self.config.flow.steps)
-        surface = SampledSurface.of(self.samples)
-        self.spacing, self.error = surface.spacing, surface.error
+        surface = self._surface()
         fitting = fit_spline(surface, self.config)
         while True:
             try:
@@ -136,6 +136,18 @@ class _Run:
         self.loss = fit.loss
         self._clock(stage)
         return fit
+
+    def _surface(self) -> SampledSurface:
+        """What the trajectories are drawn to: the measured points and, with quadrics fitted to
+        the same, the points of the rounds so far."""
+        measured = self._measured_surface()
+        added = self.samples[len(self.measured) :]
+        return measured.densified(added) if len(added) else measured
+
+    def _measured_surface(self) -> SampledSurface:
+        if self._quadrics is None:
+            self._quadrics = SampledSurface.of(self.measured)
+        return self._quadrics
 
     def _finished(self, fit: SplineFit, mesh: Mesh) -> Reconstruction:
         vertices = self.normalisation.to_world(mesh.vertices)
@@ -151,6 +163,7 @@ class _Run:
 
     def _report(self, mesh: Mesh) -> dict[str, Any]:
         scale = self.normalisation.scale
+        surface = self._measured_surface()
         return {
             "version": udflow.__version__,
             "torch": torch.__version__,
@@ -163,9 +176,9 @@ class _Run:
                 "rounds": self.round,
             },
             "frame": {"centre": list(self.normalisation.centre), "scale": scale},
-            "spacing": self.spacing * scale,
-            "sample_error": self.error * scale,
-            "spline_resolution": finest_resolution(self.spacing, self.config),
+            "spacing": surface.spacing * scale,
+            "sample_error": surface.error * scale,
+            "spline_resolution": finest_resolution(surface.spacing, self.config),
             "loss": self.loss,
             "mesh": {"vertices": len(mesh.vertices), "faces": len(mesh.faces)},
             "seconds": {**self.seconds, "total": time.monotonic() - self.started},

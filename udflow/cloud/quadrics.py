@@ -8,7 +8,7 @@ the curvature bias of tangent planes. Normals are unsigned and of no consequence
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -18,6 +18,7 @@ from udflow.cloud.neighbours import Neighbours, NeighbourTree
 NEIGHBOUR_COUNTS = (10, 16, 24, 40, 64, 96)  # widths tried for each sample
 _SCORE_NEIGHBOURS = 48  # samples over which held-back errors are averaged
 _FALLOFF = 2.0  # weight exp(-falloff (distance / radius)^2)
+_FINE = 0.008  # of the reach: a held-back error not worth a wider neighbourhood
 _PATCH = 2.0  # radii from its sample beyond which a quadric is not followed
 _CHUNK = 1 << 16
 
@@ -37,6 +38,7 @@ class LocalQuadrics:
         error: (n,) held-back prediction error, a length: how far a sample lies from the quadric
             fitted to its neighbours alone, root mean square over the neighbourhood.
         reach: (n,) how far from the sample, along the surface, the quadric may be trusted.
+        count: (n,) int64 neighbours used.
     """
 
     origin: Tensor
@@ -45,6 +47,7 @@ class LocalQuadrics:
     radius: Tensor
     error: Tensor
     reach: Tensor
+    count: Tensor
 
     def __getitem__(self, index: Tensor) -> LocalQuadrics:
         """The quadrics of some samples."""
@@ -55,7 +58,8 @@ def fit_quadrics(samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
     """Fits a quadric at every sample, each with the width that predicts held-back samples best.
 
     Widths are tried from narrow to wide; a sample goes on to a wider one only while its
-    neighbourhood's held-back error falls, so clean data stay sharp and noisy data are averaged.
+    neighbourhood's held-back error falls and is worth lowering, so clean data stay sharp and
+    noisy data are averaged.
 
     Args:
         samples: (n, 3) distinct points, unit frame.
@@ -63,24 +67,53 @@ def fit_quadrics(samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
     """
     counts = [k for k in NEIGHBOUR_COUNTS if k <= tree.size] or [tree.size]
     score_neighbours = tree.nearest(samples, _SCORE_NEIGHBOURS)
-    best = _fit(samples, tree, torch.arange(len(samples)), counts[0])
+    best = _fit(samples, tree, samples, counts[0])
     best_score = _smoothed(best.error, score_neighbours)
-    growing = torch.arange(len(samples))
+    growing = (best_score > _FINE * best.reach).nonzero().squeeze(1)
     for k in counts[1:]:
-        wider = _fit(samples, tree, growing, k)
+        if len(growing) == 0:
+            break
+        wider = _fit(samples, tree, samples[growing], k)
         error = best.error.clone()
         error[growing] = wider.error
         score = _smoothed(error, score_neighbours)
         better = score[growing] < best_score[growing]
         growing = growing[better]
-        if len(growing) == 0:
-            break
-        for f in fields(LocalQuadrics):
-            getattr(best, f.name)[growing] = getattr(wider, f.name)[better]
+        _replace(best, growing, wider[better])
         best_score[growing] = score[growing]
+        growing = growing[best_score[growing] > _FINE * best.reach[growing]]
+    return replace(best, error=best_score)
+
+
+def quadrics_between(
+    points: Tensor, samples: Tensor, tree: NeighbourTree, quadrics: LocalQuadrics
+) -> LocalQuadrics:
+    """Quadrics at points between the samples, as wide as those of the nearest samples.
+
+    Args:
+        points: (m, 3) origins of the new quadrics, unit frame.
+        samples: (n, 3) the data that they are fitted to.
+        tree: the tree of the samples.
+        quadrics: what `fit_quadrics` found at the samples.
+    """
+    nearest = quadrics[tree.nearest(points, 1).index[:, 0]]
+    result = replace(nearest, origin=points)
+    for k in nearest.count.unique().tolist():
+        which = (nearest.count == k).nonzero().squeeze(1)
+        _replace(result, which, _fit(samples, tree, points[which], int(k)))
+    return replace(result, error=nearest.error, reach=nearest.reach)
+
+
+def joined(parts: list[LocalQuadrics]) -> LocalQuadrics:
+    """Quadrics one after the other."""
     return LocalQuadrics(
-        best.origin, best.frame, best.coefficients, best.radius, best_score, best.reach
+        *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(LocalQuadrics))
     )
+
+
+def _replace(target: LocalQuadrics, which: Tensor, values: LocalQuadrics) -> None:
+    for f in fields(LocalQuadrics):
+        getattr(target, f.name)[which] = getattr(values, f.name)
 
 
 def _smoothed(error: Tensor, neighbours: Neighbours) -> Tensor:
@@ -88,13 +121,9 @@ def _smoothed(error: Tensor, neighbours: Neighbours) -> Tensor:
     return error.square()[neighbours.index].mean(dim=1).sqrt()
 
 
-def _fit(samples: Tensor, tree: NeighbourTree, which: Tensor, k: int) -> LocalQuadrics:
-    parts = [
-        _fit_chunk(samples, tree.nearest(samples[chunk], k), samples[chunk])
-        for chunk in which.split(_CHUNK)
-    ]
-    return LocalQuadrics(
-        *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(LocalQuadrics))
+def _fit(samples: Tensor, tree: NeighbourTree, origins: Tensor, k: int) -> LocalQuadrics:
+    return joined(
+        [_fit_chunk(samples, tree.nearest(part, k), part) for part in origins.split(_CHUNK)]
     )
 
 
@@ -117,7 +146,8 @@ def _fit_chunk(samples: Tensor, neighbours: Neighbours, origin: Tensor) -> Local
     influence = inverse[:, 0, 0].clamp(0, 0.999)
     error = (coefficients[:, 0].abs() / (1 - influence)) * radius[:, 0]
     reach = 2.0 * neighbours.distance[:, min(6, neighbours.distance.shape[1] - 1)]
-    return LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, reach)
+    count = torch.full_like(neighbours.index[:, 0], neighbours.index.shape[1])
+    return LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, reach, count)
 
 
 def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:

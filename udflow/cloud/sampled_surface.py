@@ -8,7 +8,13 @@ import torch
 from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
-from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, fit_quadrics
+from udflow.cloud.quadrics import (
+    LocalQuadrics,
+    feet_on_quadrics,
+    fit_quadrics,
+    joined,
+    quadrics_between,
+)
 
 _BLEND = 6  # quadrics that share in a foot
 _CHUNK = 1 << 15
@@ -31,6 +37,17 @@ class SampledSurface:
         """Fits the quadrics of (n, 3) distinct samples."""
         tree = NeighbourTree(samples)
         return cls(samples, tree, fit_quadrics(samples, tree))
+
+    def densified(self, points: Tensor) -> SampledSurface:
+        """The surface with quadrics at (m, 3) further points, fitted to the same data.
+
+        Args:
+            points: near the surface, between the samples of this surface, which must be the
+                measured ones.
+        """
+        between = quadrics_between(points, self.samples, self.tree, self.quadrics)
+        samples = torch.cat([self.samples, points])
+        return SampledSurface(samples, NeighbourTree(samples), joined([self.quadrics, between]))
 
     @property
     def spacings(self) -> Tensor:
