@@ -73,7 +73,7 @@ class UnsignedDistanceField:
     def _query(self, points: NDArray[np.float64]) -> FieldAnswer:
         device = self.spline.levels[0].coefficients.device
         low, high = self.low, self.high
-        valid = ((points >= low) & (points <= high)).all(axis=1)
+        valid: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
         unit = torch.from_numpy(self.normalisation.to_unit(np.clip(points, low, high)))
         with torch.inference_mode():
             feet = self.spline.project(unit.to(device)).cpu().numpy()
