@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
-import lazrs  # type: ignore[import-untyped]  # no type information is published
+import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
