@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ class Settings:
     cancel_grace_s: a canceled job that has not stopped by itself is killed after this.
     stall_s: a fit without any progress for so long counts as hung.
     job_timeout_s: longest run of one attempt; queue_ttl_s: longest wait in the queue.
+    device: where to fit; None takes the GPU if there is one.
     """
 
     data: Path = Path(".udflow")
@@ -36,13 +38,14 @@ class Settings:
     stall_s: float = 300.0
     job_timeout_s: float = 4 * 3600.0
     queue_ttl_s: float = 24 * 3600.0
+    device: str | None = None
 
     @classmethod
     def from_env(cls, environ: Mapping[str, str] = os.environ) -> Settings:
         """Settings from REDIS_URL and the UDFLOW_ variables.
 
         Raises:
-            BadSetting: a duration is not a positive number.
+            BadSetting: a duration is not a positive number, or the device is of no known kind.
         """
         durations = {
             name: _positive(f"UDFLOW_{name.upper()}", environ)
@@ -60,6 +63,7 @@ class Settings:
             data=Path(environ.get("UDFLOW_DATA") or ".udflow"),
             redis_url=environ.get("REDIS_URL") or None,
             secret=environ.get("UDFLOW_SECRET") or None,
+            device=_device(environ.get("UDFLOW_DEVICE") or None),
             **durations,
         )
 
@@ -88,6 +92,12 @@ class Settings:
     def connect_raw(self) -> redis.Redis:
         """For RQ, which wants bytes."""
         return redis.Redis.from_url(self.url)
+
+
+def _device(name: str | None) -> str | None:
+    if name is not None and not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        raise BadSetting(f'UDFLOW_DEVICE is {name!r}; choose "cpu", "cuda" or "cuda:0"')
+    return name
 
 
 def _positive(name: str, environ: Mapping[str, str]) -> float:

@@ -31,8 +31,9 @@ def listen(host: str, port: int) -> socket.socket:
         server.listen(1024)
     except OSError as error:
         server.close()
+        another = port + 1 if port < 65535 else 8000
         raise CannotListen(
             f"port {port} on {host} cannot be used ({error.strerror}); stop the program that has "
-            f"it, or choose another port, for example PORT={port + 1} make up"
+            f"it, or choose another port, for example PORT={another} make up"
         ) from error
     return server

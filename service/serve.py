@@ -1,4 +1,4 @@
-"""`python -m service.serve`: the API alone, on UDFLOW_HOST and PORT, or on a socket that is handed down.
+"""`python -m service.serve`: the API on UDFLOW_HOST and PORT, or on a socket that is handed down.
 
 With UDFLOW_LISTEN_FD the listening socket belongs to the supervisor: it stays open while the API
 is restarted, so callers wait instead of being refused.

@@ -61,12 +61,13 @@ class Keeper:
         self._last: deque[str] = deque(maxlen=_LAST_LINES)
         self._process: asyncio.subprocess.Process | None = None
         self._stopping = asyncio.Event()
+        self._established = False
 
     async def keep(self) -> None:
         """Run the part again whenever it ends, until `stop`.
 
         Raises:
-            GaveUp: it failed to start several times in a row.
+            GaveUp: it failed to start several times in a row, before `establish`.
             OSError: its program cannot be run.
         """
         failed_starts = 0
@@ -77,12 +78,16 @@ class Keeper:
                 return
             short = time.monotonic() - began < _SHORT_LIFE_S
             failed_starts = failed_starts + 1 if short else 0
-            if failed_starts >= _MOST_FAILED_STARTS:
+            if failed_starts >= _MOST_FAILED_STARTS and not self._established:
                 raise GaveUp("\n".join([f"{self.part.name} does not stay up:", *self._last]))
             pause_s = min(_FIRST_PAUSE_S * 2**failed_starts, _LONGEST_PAUSE_S)
             self._say(f"{self.part.name} ended ({_described(code)}), again in {pause_s:g} s")
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._stopping.wait(), pause_s)
+
+    def establish(self) -> None:
+        """It has worked once: from now on never give up, whatever it misses may come back."""
+        self._established = True
 
     def ask_to_end(self) -> None:
         """SIGTERM, and no restart."""

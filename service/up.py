@@ -16,9 +16,10 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Coroutine, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import redis
 
@@ -96,6 +97,8 @@ class Supervisor:
         try:
             await self._until_asked(self._start())
             if not self._asked.is_set():
+                for keeper in self._parts:
+                    keeper.establish()
                 self._greet()
                 await self._until_asked(asyncio.Event().wait())
             _say("stopping")
@@ -109,13 +112,13 @@ class Supervisor:
                 keeper.kill()
         self._asked.set()
 
-    async def _until_asked(self, work: object) -> None:
+    async def _until_asked(self, work: Coroutine[Any, Any, object]) -> None:
         """Until `work` is done or a signal came.
 
         Raises: what the work or the keeping of a part raises.
         """
         asked = asyncio.ensure_future(self._asked.wait())
-        doing = asyncio.ensure_future(work)  # type: ignore[call-overload]
+        doing = asyncio.ensure_future(work)
         try:
             while not (asked.done() or doing.done()):
                 await asyncio.wait({asked, doing, *self._tasks}, return_when="FIRST_COMPLETED")

@@ -6,7 +6,6 @@ import errno
 import logging
 
 import torch
-from rq.timeouts import JobTimeoutException
 
 from jobs.spec import JobError
 from udflow.errors import UdflowError
@@ -18,6 +17,15 @@ OUT_OF_MEMORY = JobError(
     "the machine ran out of memory; choose a smaller extract.resolution, spline.resolution or "
     "densify.target_points, or run it where there is more memory",
 )
+TIMEOUT = JobError(
+    "timeout",
+    "the job ran longer than this server allows; choose smaller resolutions, or raise "
+    "UDFLOW_JOB_TIMEOUT_S",
+)
+
+
+class TooLong(Exception):
+    """The attempt has used up its time."""
 
 
 def explain(error: Exception) -> JobError:
@@ -26,12 +34,8 @@ def explain(error: Exception) -> JobError:
         return JobError(error.code, str(error))
     if _is_out_of_memory(error):
         return OUT_OF_MEMORY
-    if isinstance(error, JobTimeoutException):
-        return JobError(
-            "timeout",
-            "the job ran longer than this server allows; choose smaller resolutions, or raise "
-            "UDFLOW_JOB_TIMEOUT_S",
-        )
+    if isinstance(error, TooLong):
+        return TIMEOUT
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return JobError("storage_full", "the server's disk is full; free some space and retry")
     log.error("unexpected error in a job", exc_info=error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import logging
 import os
 import sys
@@ -19,6 +20,7 @@ _OOM_SCORE = "800"  # when memory runs out the kernel should take the job, not t
 def prepare(parent: int) -> None:
     """First thing after the fork. parent: pid of the worker, whose death ends this process."""
     die_with_parent(parent=parent)
+    faulthandler.enable()  # a crash below Python leaves a traceback in the log
     try:
         Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
     except OSError as error:
@@ -37,10 +39,9 @@ def available_cores() -> int:
     return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
 
 
-def choose_device() -> str:
-    """UDFLOW_DEVICE, else "cuda" where there is one, else "cpu". Never call this in the worker's
-    parent process: CUDA does not survive a fork."""
-    wanted = os.environ.get("UDFLOW_DEVICE")
+def choose_device(wanted: str | None) -> str:
+    """What was asked for, else "cuda" where there is one, else "cpu". Never call this in the
+    worker's parent process: CUDA does not survive a fork."""
     return wanted or ("cuda" if torch.cuda.is_available() else "cpu")
 
 

@@ -18,6 +18,7 @@ from rq.exceptions import DeserializationError, NoSuchJobError
 from rq.executions import Execution
 from rq.job import Job
 from rq.serializers import JSONSerializer
+from rq.timeouts import BaseDeathPenalty
 
 from jobs.dispatch import QUEUE, TASK, Dispatcher
 from jobs.errors import InvalidMac
@@ -26,7 +27,7 @@ from jobs.settings import Settings
 from jobs.signing import load_secret, verify
 from jobs.spec import JobRecord, JobState
 from worker import horse, tasks
-from worker.failure import OUT_OF_MEMORY
+from worker.failure import OUT_OF_MEMORY, TIMEOUT
 
 log = logging.getLogger("worker")
 
@@ -39,6 +40,18 @@ _ALLOWED_FIELDS = frozenset(
     b"data created_at origin description enqueued_at started_at ended_at last_heartbeat "
     b"worker_name timeout result_ttl failure_ttl status".split()
 )
+
+
+class NoAlarm(BaseDeathPenalty):
+    """RQ's time limit raises from a signal handler. That is not survivable here: SciPy's KD-tree,
+    left by an exception, frees arrays that its threads are still filling. The trainer looks at the
+    clock between two steps instead, and the parent kills what is a minute over."""
+
+    def setup_death_penalty(self) -> None:
+        """No alarm."""
+
+    def cancel_death_penalty(self) -> None:
+        """Nothing to cancel."""
 
 
 class ForbiddenTask(Exception):
@@ -82,6 +95,7 @@ class FitWorker(Worker):
         self._secret = load_secret(settings)
         self._records = JobRecords(settings.connect(), settings.lease_s)
         self._dispatcher = Dispatcher(settings.connect_raw(), self._secret, settings.job_timeout_s)
+        self._job_timeout_s = settings.job_timeout_s
         self._horse_exit: tuple[int, int] | None = None
         super().__init__(
             [Queue(QUEUE, connection=connection, serializer=JSONSerializer, job_class=AllowedJob)],
@@ -96,6 +110,7 @@ class FitWorker(Worker):
     def main_work_horse(self, job: Job, queue: Queue) -> None:
         """In the forked process."""
         horse.prepare(parent=self.pid or 0)
+        self.death_penalty_class = NoAlarm
         super().main_work_horse(job, queue)
 
     def execute_job(self, job: Job, queue: Queue) -> None:
@@ -136,8 +151,12 @@ class FitWorker(Worker):
             return
         _, status = self._horse_exit
         killed = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL
-        if killed and out_of_memory and record.state is not JobState.QUEUED:
-            self._records.finish(record.id, record.attempt, JobState.FAILED, error=OUT_OF_MEMORY)
+        too_long = record.started_at is not None and (
+            self._records.now() - record.started_at > self._job_timeout_s
+        )
+        if killed and (out_of_memory or too_long) and record.state is not JobState.QUEUED:
+            error = OUT_OF_MEMORY if out_of_memory else TIMEOUT
+            self._records.finish(record.id, record.attempt, JobState.FAILED, error=error)
             return
         why = (
             "the worker was shut down; the job starts again"

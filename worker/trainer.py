@@ -15,12 +15,11 @@ from jobs.settings import Settings
 from jobs.spec import Artifact, JobError, JobRecord, JobState
 from jobs.store import FileStore
 from udflow.cloud.formats import read_cloud
-from udflow.cloud.inspection import require_reconstructable
 from udflow.config import from_dict
 from udflow.errors import Canceled, InvalidCloud
 from udflow.progress import Progress
 from udflow.reconstruct import Reconstruction, reconstruct_steps
-from worker.failure import explain
+from worker.failure import TooLong, explain
 from worker.horse import choose_device, owner_name
 from worker.lease import LeaseKeeper
 from worker.outputs import outputs_of
@@ -48,7 +47,7 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
     # short timeouts: the fit must not wait for a Redis that is away
     with settings.connect(retry=None, socket_timeout=2.0) as connection:
         records = JobRecords(connection, settings.lease_s)
-        device = choose_device()
+        device = choose_device(settings.device)
         job = _insist(
             lambda: records.claim(job_id, attempt, owner_name(), device), settings.lease_s
         )
@@ -59,7 +58,8 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
         store = FileStore(settings.data)
         try:
             with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
-                outcome = _attempt(job, store, Reporter(records, job), lease)
+                watch = Watch(Reporter(records, job), lease, settings.job_timeout_s)
+                outcome = _attempt(job, store, watch)
         except JobLost:
             log.warning("%s attempt %d was taken away", job_id, attempt)
             store.delete_attempt(job_id, attempt)
@@ -67,9 +67,34 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
         _finish(job, outcome, records, store)
 
 
-def _attempt(job: JobRecord, store: FileStore, reporter: Reporter, lease: LeaseKeeper) -> Outcome:
+class Watch:
+    """What has to happen between two steps: keep the lease, mind the clock, tell the world."""
+
+    def __init__(self, reporter: Reporter, lease: LeaseKeeper, longest_s: float) -> None:
+        self._reporter = reporter
+        self._lease = lease
+        self._longest_s = longest_s
+        self._began = time.monotonic()
+
+    def step(self, progress: Progress) -> None:
+        """Raises TooLong, Canceled or JobLost when it is time to stop."""
+        self._mind()
+        self._reporter.report(progress, _FIT_SHARE * progress.fraction)
+
+    def file(self, done: int, total: int) -> None:
+        """As `step`, while the files of the result are written."""
+        self._mind()
+        self._reporter.report_files(done, total, _FIT_SHARE + (1.0 - _FIT_SHARE) * done / total)
+
+    def _mind(self) -> None:
+        self._lease.advance()
+        if time.monotonic() - self._began > self._longest_s:
+            raise TooLong
+
+
+def _attempt(job: JobRecord, store: FileStore, watch: Watch) -> Outcome:
     try:
-        return _reconstruct(job, store, reporter, lease)
+        return _reconstruct(job, store, watch)
     except JobLost:
         raise
     except Canceled:
@@ -78,48 +103,36 @@ def _attempt(job: JobRecord, store: FileStore, reporter: Reporter, lease: LeaseK
         return Outcome(JobState.FAILED, explain(error))
 
 
-def _reconstruct(
-    job: JobRecord, store: FileStore, reporter: Reporter, lease: LeaseKeeper
-) -> Outcome:
-    reporter.report(Progress("reading", 0, 1, 0.0, 0.0, 0), 0.0)
+def _reconstruct(job: JobRecord, store: FileStore, watch: Watch) -> Outcome:
+    watch.step(Progress("reading", 0, 1, 0.0, 0.0, 0))
     path = store.scan_path(job.scan_id)
     if not path.exists():
         raise InvalidCloud("the scan of this job was deleted; upload it again and make a new job")
     cloud = read_cloud(path)
-    require_reconstructable(cloud)
     steps = reconstruct_steps(cloud, from_dict(job.config), job.device or "cpu")
-    result = _drive(steps, reporter, lease)
-    outputs = _store(result, job, store, reporter, lease)
+    result = _drive(steps, watch)
+    outputs = _store(result, job, store, watch)
     return Outcome(JobState.SUCCEEDED, outputs=outputs, warnings=cloud.warnings)
 
 
-def _drive(
-    steps: Generator[Progress, None, Reconstruction], reporter: Reporter, lease: LeaseKeeper
-) -> Reconstruction:
+def _drive(steps: Generator[Progress, None, Reconstruction], watch: Watch) -> Reconstruction:
     while True:
         try:
             progress = next(steps)
         except StopIteration as end:
             result: Reconstruction = end.value
             return result
-        lease.advance()
-        reporter.report(progress, _FIT_SHARE * progress.fraction)
+        watch.step(progress)
 
 
 def _store(
-    result: Reconstruction,
-    job: JobRecord,
-    store: FileStore,
-    reporter: Reporter,
-    lease: LeaseKeeper,
+    result: Reconstruction, job: JobRecord, store: FileStore, watch: Watch
 ) -> dict[str, Artifact]:
     files = list(outputs_of(result))
     stored: dict[str, Artifact] = {}
     for done, file in enumerate(files):
-        share = _FIT_SHARE + (1.0 - _FIT_SHARE) * done / len(files)
-        reporter.report_files(done, len(files), share)
+        watch.file(done, len(files))
         stored[file.name] = store.put_artifact(job.id, job.attempt, file.name, file.write)
-        lease.advance()
     return stored
 
 

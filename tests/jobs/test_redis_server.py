@@ -11,7 +11,7 @@ import pytest
 import redis
 
 from jobs import redis_server
-from jobs.errors import BadSetting, NoRedisServer
+from jobs.errors import NoRedisServer
 from jobs.ids import new_id
 from jobs.records import JobRecords
 from jobs.redis_server import EmbeddedRedis, find_server, make_private_folder
@@ -123,19 +123,3 @@ def test_a_folder_that_others_can_enter_is_refused(tmp_path: Path) -> None:
     for folder in (open_to_all, link):
         with pytest.raises(NoRedisServer, match="not a private folder"):
             make_private_folder(folder)
-
-
-def test_settings_come_from_the_environment(tmp_path: Path) -> None:
-    found = Settings.from_env(
-        {"UDFLOW_DATA": str(tmp_path), "REDIS_URL": "redis://h", "UDFLOW_LEASE_S": "7.5"}
-    )
-    assert (found.data, found.url, found.lease_s) == (tmp_path, "redis://h", 7.5)
-    assert Settings.from_env({}) == Settings()
-    with pytest.raises(NoRedisServer, match="make up"):
-        _ = Settings().url
-
-
-@pytest.mark.parametrize("text", ["", "soon", "0", "-3", "nan", "inf"])
-def test_a_duration_that_is_none_is_refused_in_words(text: str) -> None:
-    with pytest.raises(BadSetting, match="UDFLOW_LEASE_S is"):
-        Settings.from_env({"UDFLOW_LEASE_S": text})

@@ -25,7 +25,8 @@ from jobs.records import MAX_CRASHES, JobRecords
 from jobs.settings import Settings
 from jobs.spec import TERMINAL, JobSpec, JobState
 
-ATTEMPTS = st.integers(1, 4)
+# relative to the current attempt: mostly its own worker, sometimes a lost one or a forged one
+OFFSETS = st.sampled_from([0, 0, 0, 0, -1, 1])
 
 
 class Model:
@@ -57,27 +58,39 @@ class Model:
 class JobLife(RuleBasedStateMachine):
     connection: ClassVar[Any]
 
-    @initialize()
-    def create(self) -> None:
+    @initialize(start=st.sampled_from(["queued", "running", "running", "canceling"]))
+    def create(self, start: str) -> None:
         self.records = JobRecords(self.connection)
         self.events = Events(self.connection)
         self.model = Model()
         self.id = self.records.create(JobSpec.new(new_id("scan"), {})).record.id
+        if start != "queued":
+            self.claim(0)
+        if start == "canceling":
+            self.cancel()
 
-    @rule(attempt=ATTEMPTS)
-    def claim(self, attempt: int) -> None:
+    @precondition(lambda self: self.model.state == "queued")
+    @rule()
+    def start_again(self) -> None:
+        self.claim(0)
+
+    @rule(offset=OFFSETS)
+    def claim(self, offset: int) -> None:
+        attempt = self.model.attempt + offset
         allowed = self.model.state == "queued" and attempt == self.model.attempt
         assert (self.records.claim(self.id, attempt) is not None) == allowed
         if allowed:
             self.model.states.append("running")
 
-    @rule(attempt=ATTEMPTS)
-    def step(self, attempt: int) -> None:
+    @rule(offset=OFFSETS)
+    def step(self, offset: int) -> None:
+        attempt = self.model.attempt + offset
         moved = self.records.update(self.id, attempt, ("progress", {}), progress=0.5)
         assert moved == self.model.holds(attempt)
 
-    @rule(attempt=ATTEMPTS, state=st.sampled_from([JobState.SUCCEEDED, JobState.FAILED]))
-    def finish(self, attempt: int, state: Any) -> None:
+    @rule(offset=OFFSETS, state=st.sampled_from([JobState.SUCCEEDED, JobState.FAILED]))
+    def finish(self, offset: int, state: Any) -> None:
+        attempt = self.model.attempt + offset
         held = self.model.holds(attempt)
         reached = self.records.finish(self.id, attempt, state)
         if held:
@@ -93,8 +106,9 @@ class JobLife(RuleBasedStateMachine):
         elif self.model.state == "running":
             self.model.states.append("canceling")
 
-    @rule(attempt=ATTEMPTS, crashed=st.booleans())
-    def die(self, attempt: int, crashed: bool) -> None:
+    @rule(offset=OFFSETS, crashed=st.booleans())
+    def die(self, offset: int, crashed: bool) -> None:
+        attempt = self.model.attempt + offset
         current = attempt == self.model.attempt
         possible = current and JobState(self.model.state) not in TERMINAL
         after = self.records.requeue(self.id, attempt, crashed=crashed, why="died")
@@ -145,8 +159,8 @@ def test_a_job_has_one_life(machine: type[JobLife]) -> None:
     run_state_machine_as_test(  # type: ignore[no-untyped-call]
         machine,
         settings=hypothesis_settings(
-            max_examples=60,
-            stateful_step_count=25,
+            max_examples=80,
+            stateful_step_count=15,
             deadline=None,
             suppress_health_check=list(HealthCheck),
             derandomize=True,

@@ -12,14 +12,22 @@ from jobs.redis_server import EmbeddedRedis
 
 
 @pytest.fixture(scope="session")
-def shop(
+def standing_shop(
     redis_server: EmbeddedRedis, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Workshop]:
-    """One worker for all tests that leave it alive."""
+    """One worker for all tests."""
     workshop = Workshop(settings_for(redis_server, tmp_path_factory.mktemp("shop") / "data", 1))
     workshop.start_worker()
     yield workshop
     workshop.close()
+
+
+@pytest.fixture
+def shop(standing_shop: Workshop) -> Iterator[Workshop]:
+    """The shared one; what a test leaves behind does not keep the next one waiting."""
+    yield standing_shop
+    for record in standing_shop.records.queued() + standing_shop.records.active():
+        standing_shop.records.request_cancel(record.id)
 
 
 @pytest.fixture

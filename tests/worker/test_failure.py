@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import replace
 
 import pytest
 import torch
@@ -45,19 +46,25 @@ def test_any_other_error_keeps_its_details_to_the_log(caplog: pytest.LogCaptureF
 
 
 @pytest.mark.parametrize(
-    ("status", "out_of_memory", "state", "code"),
+    ("status", "out_of_memory", "longest_s", "state", "code"),
     [
-        (9, True, JobState.FAILED, "out_of_memory"),  # running it again would end the same way
-        (9, False, JobState.QUEUED, None),
-        (11, True, JobState.QUEUED, None),  # a crash; the memory was somebody else's
-        (0, False, JobState.QUEUED, None),  # left without a word
+        (9, True, 60.0, JobState.FAILED, "out_of_memory"),  # it would end the same way again
+        (9, False, 1e-6, JobState.FAILED, "timeout"),  # so would this
+        (9, False, 60.0, JobState.QUEUED, None),
+        (11, True, 60.0, JobState.QUEUED, None),  # a crash; the memory was somebody else's
+        (0, False, 60.0, JobState.QUEUED, None),  # left without a word
     ],
 )
 def test_a_dead_process_settles_by_how_it_died(
-    own_shop: Workshop, status: int, out_of_memory: bool, state: JobState, code: str | None
+    own_shop: Workshop,
+    status: int,
+    out_of_memory: bool,
+    longest_s: float,
+    state: JobState,
+    code: str | None,
 ) -> None:
     job_id = own_shop.submit()
-    worker = FitWorker(own_shop.settings)
+    worker = FitWorker(replace(own_shop.settings, job_timeout_s=longest_s))
     own_shop.records.claim(job_id, 1, horse.owner_name(worker.name, 12345))
     worker._horse_exit = (12345, status)
     task = AllowedJob.fetch(task_id(job_id, 1), own_shop.raw, JSONSerializer)

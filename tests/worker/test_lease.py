@@ -48,7 +48,11 @@ def working(
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Exit code and what else it said."""
-    said, _ = process.communicate(timeout=15.0)
+    with process:
+        try:
+            said, _ = process.communicate(timeout=15.0)
+        finally:
+            process.kill()
     return process.returncode, said
 
 

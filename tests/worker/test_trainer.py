@@ -10,10 +10,10 @@ import trimesh
 from shapes import Sphere
 from workshop import LONG, QUICK, Workshop, until
 
-from jobs.dispatch import Dispatcher
 from jobs.ids import new_id
 from jobs.spec import JobSpec, JobState
 from jobs.submission import submit
+from worker.trainer import train
 
 FILES = {
     "mesh.ply",
@@ -144,14 +144,13 @@ def test_an_unexpected_error_keeps_its_traceback_in_the_log(shop: Workshop) -> N
     assert "FileExistsError" in shop.log()
 
 
-def test_a_job_that_runs_too_long_ends(shop: Workshop) -> None:
-    spec = JobSpec.new(shop.scan(np.random.default_rng(1).random((3000, 3))), LONG)
-    impatient = Dispatcher(shop.raw, b"unused", job_timeout_s=1.0)
-    impatient._secret = shop.dispatcher._secret
-    submit(spec, shop.records, shop.store, impatient)
-    record = shop.reaches(spec.id, JobState.FAILED)
+def test_a_job_that_runs_too_long_ends(own_shop: Workshop) -> None:
+    job_id = own_shop.submit(LONG)
+    train(job_id, 1, replace(own_shop.settings, job_timeout_s=0.3, device="cpu"))
+    record = own_shop.get(job_id)
     assert record.error is not None
-    assert record.error.code == "timeout"
+    assert (record.state, record.error.code) == (JobState.FAILED, "timeout")
+    assert record.stage in ("fitting", "densifying")
 
 
 def test_retention_removes_record_and_files(shop: Workshop) -> None:
