@@ -153,7 +153,7 @@ def test_a_terminal_gets_a_bar(scan: str, tmp_path: Path) -> None:
             except OSError:  # the other end is closed
                 break
     os.close(master)
-    assert process.returncode == 0
+    assert process.returncode == 0, shown.decode()
     assert b"%" in shown
     assert b"\x1b[" in shown
 

@@ -10,7 +10,8 @@ from udflow.mesh.mesh import Mesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-SEEDS = 200_000  # surface points that give the first upper bound
+SEEDS = 200_000  # surface points that give the first upper bound, at most,
+SEEDS_PER_FACE = 50  # and for small meshes
 POINTS_AT_ONCE = 16_384
 PAIRS_AT_ONCE = 2_000_000  # bounds the memory of one step of the descent
 
@@ -153,14 +154,14 @@ def _boxes(triangles: Array) -> list[Array]:
 
 
 def _surface_points(triangles: Array) -> tuple[Array, Index]:
-    """SEEDS points evenly by area and all centres, with the triangle each lies on."""
+    """Points evenly by area and all centres, with the triangle each lies on."""
     a, b, c = triangles.swapaxes(0, 1)
     areas = np.sqrt(_dot(_cross(b - a, c - a), _cross(b - a, c - a)))
     centres, own = triangles.mean(axis=1), np.arange(len(triangles))
     if areas.sum() == 0.0:
         return centres, own
-    generator = np.random.default_rng(0)
-    face = generator.choice(len(triangles), size=SEEDS, p=areas / areas.sum())
-    u, v = np.sqrt(generator.random((SEEDS, 1))), generator.random((SEEDS, 1))
+    generator, count = np.random.default_rng(0), min(SEEDS, SEEDS_PER_FACE * len(triangles))
+    face = generator.choice(len(triangles), size=count, p=areas / areas.sum())
+    u, v = np.sqrt(generator.random((count, 1))), generator.random((count, 1))
     points = (1 - u) * a[face] + u * (1 - v) * b[face] + u * v * c[face]
     return np.concatenate([centres, points]), np.concatenate([own, face])
