@@ -25,6 +25,9 @@ from udflow.mesh.mesh import Mesh
 from udflow.progress import Progress, Stage
 
 
+_SITE_PER_VOXEL = 0.5  # detail of the data that a mesh of a given voxel can show
+
+
 @dataclass(frozen=True)
 class Reconstruction:
     """What a reconstruction gives back, all in the units and frame of the upload.
@@ -146,7 +149,8 @@ class _Run:
 
     def _measured_surface(self) -> SampledSurface:
         if self._quadrics is None:
-            self._quadrics = SampledSurface.of(self.measured)
+            detail = _SITE_PER_VOXEL / self.config.extract.resolution
+            self._quadrics = SampledSurface.of(self.measured, detail)
         return self._quadrics
 
     def _finished(self, fit: SplineFit, mesh: Mesh) -> Reconstruction:

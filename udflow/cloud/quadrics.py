@@ -54,26 +54,27 @@ class LocalQuadrics:
         return LocalQuadrics(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
-def fit_quadrics(samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
-    """Fits a quadric at every sample, each with the width that predicts held-back samples best.
+def fit_quadrics(sites: Tensor, samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
+    """Fits a quadric at every site, each with the width that predicts held-back samples best.
 
-    Widths are tried from narrow to wide; a sample goes on to a wider one only while its
+    Widths are tried from narrow to wide; a site goes on to a wider one only while its
     neighbourhood's held-back error falls and is worth lowering, so clean data stay sharp and
     noisy data are averaged.
 
     Args:
-        samples: (n, 3) distinct points, unit frame.
-        tree: the tree of the same samples.
+        sites: (n, 3) some of the samples, unit frame.
+        samples: (m, 3) distinct points, the data.
+        tree: the tree of the samples.
     """
     counts = [k for k in NEIGHBOUR_COUNTS if k <= tree.size] or [tree.size]
-    score_neighbours = tree.nearest(samples, _SCORE_NEIGHBOURS)
-    best = _fit(samples, tree, samples, counts[0])
+    score_neighbours = NeighbourTree(sites).nearest(sites, _SCORE_NEIGHBOURS)
+    best = _fit(samples, tree, sites, counts[0])
     best_score = _smoothed(best.error, score_neighbours)
     growing = (best_score > _FINE * best.reach).nonzero().squeeze(1)
     for k in counts[1:]:
         if len(growing) == 0:
             break
-        wider = _fit(samples, tree, samples[growing], k)
+        wider = _fit(samples, tree, sites[growing], k)
         error = best.error.clone()
         error[growing] = wider.error
         score = _smoothed(error, score_neighbours)
@@ -86,22 +87,21 @@ def fit_quadrics(samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
 
 
 def quadrics_between(
-    points: Tensor, samples: Tensor, tree: NeighbourTree, quadrics: LocalQuadrics
+    points: Tensor, samples: Tensor, tree: NeighbourTree, like: LocalQuadrics
 ) -> LocalQuadrics:
-    """Quadrics at points between the samples, as wide as those of the nearest samples.
+    """Quadrics at points between the samples, as wide as given ones.
 
     Args:
-        points: (m, 3) origins of the new quadrics, unit frame.
-        samples: (n, 3) the data that they are fitted to.
+        points: (n, 3) origins of the new quadrics, unit frame.
+        samples: (m, 3) the data that they are fitted to.
         tree: the tree of the samples.
-        quadrics: what `fit_quadrics` found at the samples.
+        like: n quadrics that were fitted nearby.
     """
-    nearest = quadrics[tree.nearest(points, 1).index[:, 0]]
-    result = replace(nearest, origin=points)
-    for k in nearest.count.unique().tolist():
-        which = (nearest.count == k).nonzero().squeeze(1)
+    result = replace(like, origin=points)
+    for k in like.count.unique().tolist():
+        which = (like.count == k).nonzero().squeeze(1)
         _replace(result, which, _fit(samples, tree, points[which], int(k)))
-    return replace(result, error=nearest.error, reach=nearest.reach)
+    return replace(result, error=like.error, reach=like.reach)
 
 
 def joined(parts: list[LocalQuadrics]) -> LocalQuadrics:

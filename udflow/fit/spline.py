@@ -96,21 +96,21 @@ def trajectories(
 
 def _candidates(surface: SampledSurface, schedule: TimeSchedule, k: int, finest: int) -> SplineGrid:
     """Cells around the samples; samples too far apart for these cells wait for a coarser level."""
-    samples = surface.samples
+    sites = surface.sites
     whole_box = k == schedule.steps
     growth = schedule.time(k) / schedule.time(1)
     spacing = 1.0 / (_COARSEST if whole_box else max(finest / growth, _COARSEST))
-    extent = BOX if whole_box else float(samples.abs().max())
+    extent = BOX if whole_box else float(sites.abs().max())
     half = extent + (_DILATION + 2) * spacing
     points = int(2 * half / spacing) + 2
     shape = (points, points, points)
-    origin = samples.new_full((3,), -0.5 * (points - 1) * spacing)
+    origin = sites.new_full((3,), -0.5 * (points - 1) * spacing)
     if whole_box:
-        mask = torch.zeros(shape, dtype=torch.bool, device=samples.device)
+        mask = torch.zeros(shape, dtype=torch.bool, device=sites.device)
         mask[1:-1, 1:-1, 1:-1] = True
         cells = SparseLattice.from_mask(mask)
     else:
-        dense = samples[surface.spacings <= max(_SPARSE_CELLS * spacing, _SPARSE * surface.spacing)]
+        dense = sites[surface.spacings <= max(_SPARSE_CELLS * spacing, _SPARSE * surface.spacing)]
         nearest = ((dense - origin) / spacing).round().long()
         cells = SparseLattice.from_mask(occupied_mask(nearest, shape)).dilated(_DILATION)
     return SplineGrid(origin, spacing, cells, cells)
