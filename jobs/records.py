@@ -13,6 +13,7 @@ import redis
 
 from jobs import keys, scripts
 from jobs.errors import IdempotencyConflict, QueueFull, UnknownId
+from jobs.fields import flat, initial_fields, record_of, texts
 from jobs.ids import first_id
 from jobs.spec import Artifact, JobError, JobRecord, JobSpec, JobState
 
@@ -92,7 +93,7 @@ class JobRecords:
             QueueFull: queue_limit jobs wait already.
             UnknownId: the job that the key made has been deleted since.
         """
-        fields = _initial_fields(spec)
+        fields = initial_fields(spec)
         digest = idempotency.fingerprint if idempotency else ""
         key = hashlib.sha256(idempotency.key.encode()).hexdigest() if idempotency else "none"
         outcome, job_id = self._run(
@@ -101,7 +102,7 @@ class JobRecords:
             digest,
             "" if queue_limit is None else queue_limit,
             fields["created_at"],
-            *_flat(fields),
+            *flat(fields),
             extra_key=keys.idempotency(key),
         )
         if outcome == "conflict":
@@ -119,7 +120,7 @@ class JobRecords:
     def get(self, job_id: str) -> JobRecord | None:
         """The record, None if there is none (any more)."""
         fields = self._redis.hgetall(keys.job(job_id))
-        return _record(fields) if "state" in fields else None
+        return record_of(fields) if "state" in fields else None
 
     def snapshot(self, job_id: str) -> Snapshot | None:
         """The record and its place in the event stream, read at one moment."""
@@ -129,7 +130,7 @@ class JobRecords:
             fields, last = pipe.execute()
         if "state" not in fields:
             return None
-        return Snapshot(_record(fields), last[0][0] if last else "0-0")
+        return Snapshot(record_of(fields), last[0][0] if last else "0-0")
 
     def is_gone(self, some_id: str) -> bool:
         """Whether a job or scan existed and was deleted or has expired."""
@@ -212,7 +213,7 @@ class JobRecords:
     ) -> bool:
         """Change fields of a running job, with an event (type, data) in the same step."""
         kind, data = (event[0], json.dumps(event[1])) if event else ("", "")
-        return bool(self._run(scripts.UPDATE, job_id, attempt, kind, data, *_flat(_texts(fields))))
+        return bool(self._run(scripts.UPDATE, job_id, attempt, kind, data, *flat(texts(fields))))
 
     def is_canceling(self, job_id: str) -> bool:
         """Whether a running job was asked to stop."""
@@ -233,7 +234,7 @@ class JobRecords:
         warnings: Iterable[str] = (),
     ) -> JobState | None:
         """End a running job. The state that was reached: canceled when a cancel was asked first."""
-        values = _texts({"error": error, "outputs": outputs or {}, "warnings": list(warnings)})
+        values = texts({"error": error, "outputs": outputs or {}, "warnings": list(warnings)})
         reached = self._run(scripts.FINISH, job_id, attempt, state, *values.values())
         return None if reached is None else JobState(reached)
 
@@ -299,9 +300,9 @@ class JobRecords:
 
     def restore(self, values: Mapping[str, Any]) -> bool:
         """Bring an ended job back from `JobRecord.to_dict`. False: it is there already."""
-        fields = _texts(values)
+        fields = texts(values)
         said = (fields[name] for name in ("state", "attempt", "error", "expires_at"))
-        return bool(self._run(scripts.RESTORE, values["id"], *said, *_flat(fields)))
+        return bool(self._run(scripts.RESTORE, values["id"], *said, *flat(fields)))
 
     def is_restored(self) -> bool:
         """Whether this Redis still knows what it was told."""
@@ -315,7 +316,7 @@ class JobRecords:
         with self._redis.pipeline(transaction=False) as pipe:
             for job_id in ids:
                 pipe.hgetall(keys.job(job_id))
-            return [_record(fields) for fields in pipe.execute() if "state" in fields]
+            return [record_of(fields) for fields in pipe.execute() if "state" in fields]
 
     def _script(self, text: str) -> Any:
         if text not in self._scripts:
@@ -335,69 +336,3 @@ class JobRecords:
         if extra_key is not None:
             names.append(extra_key)
         return self._script(text)(keys=names, args=[job_id, *values])
-
-
-def _initial_fields(spec: JobSpec) -> dict[str, str]:
-    return _texts(
-        spec.to_dict()
-        | {"state": JobState.QUEUED, "attempt": 1, "crashes": 0, "progress": 0.0}
-        | {"round": 0, "rounds": 0, "outputs": {}, "warnings": [], "cancel_requested": False}
-    )
-
-
-def _texts(values: Mapping[str, Any]) -> dict[str, str]:
-    return {name: _text(value) for name, value in values.items()}
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(int(value))
-    if isinstance(value, str):
-        return str(value)
-    if isinstance(value, int | float):
-        return repr(value)
-    return json.dumps(value, default=asdict)
-
-
-def _flat(fields: Mapping[str, str]) -> list[str]:
-    return [text for pair in fields.items() for text in pair]
-
-
-def _record(fields: Mapping[str, str]) -> JobRecord:
-    outputs = json.loads(fields.get("outputs") or "{}")
-    error = fields.get("error")
-    return JobRecord(
-        id=fields["id"],
-        scan_id=fields["scan_id"],
-        state=JobState(fields["state"]),
-        config=json.loads(fields["config"]),
-        metadata=json.loads(fields["metadata"]),
-        created_at=float(fields["created_at"]),
-        ttl_s=float(fields["ttl_s"]),
-        attempt=int(fields["attempt"]),
-        crashes=int(fields["crashes"]),
-        stage=fields.get("stage") or None,
-        progress=float(fields["progress"]),
-        eta_s=_float(fields, "eta_s"),
-        device=fields.get("device") or None,
-        points=int(fields["points"]) if fields.get("points") else None,
-        round=int(fields["round"]),
-        rounds=int(fields["rounds"]),
-        loss=_float(fields, "loss"),
-        error=JobError(**json.loads(error)) if error else None,
-        outputs={name: Artifact(**value) for name, value in outputs.items()},
-        warnings=tuple(json.loads(fields.get("warnings") or "[]")),
-        started_at=_float(fields, "started_at"),
-        finished_at=_float(fields, "finished_at"),
-        expires_at=_float(fields, "expires_at"),
-        cancel_requested=fields["cancel_requested"] == "1",
-        cancel_requested_at=_float(fields, "cancel_requested_at"),
-        owner=fields.get("owner") or None,
-    )
-
-
-def _float(fields: Mapping[str, str], name: str) -> float | None:
-    text = fields.get(name)
-    return float(text) if text else None

@@ -8,8 +8,8 @@ import secrets
 from pathlib import Path
 
 from jobs.errors import InvalidMac
+from jobs.files import create_exclusive
 from jobs.settings import Settings
-from jobs.store import create_exclusive
 
 
 def load_secret(settings: Settings) -> bytes:

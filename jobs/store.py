@@ -12,22 +12,29 @@ temporary name in the same folder, synced, renamed, and the folder synced.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import secrets
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from jobs.files import (
+    TEMPORARY,
+    create_exclusive,
+    make_folder,
+    measure,
+    read_json,
+    replacing,
+    write_json,
+)
 from jobs.ids import is_id, new_id, require_id
 from jobs.spec import Artifact, JobRecord, JobSpec
 
-_TEMPORARY = ".part-"
 _DIGEST_CHARACTERS = frozenset("0123456789abcdef")
 
 
@@ -91,7 +98,7 @@ class FileStore:
 
     def receive(self) -> Upload:
         """Begin an upload."""
-        return Upload(self.root / "incoming" / f"{_TEMPORARY}{secrets.token_hex(8)}")
+        return Upload(self.root / "incoming" / f"{TEMPORARY}{secrets.token_hex(8)}")
 
     def add_scan(self, upload: Upload, manifest: dict[str, Any]) -> AddedScan:
         """Turn an upload into a scan, or find the one that has the same bytes.
@@ -104,7 +111,7 @@ class FileStore:
             return AddedScan(known, created=False)
         scan_id = new_id("scan")
         folder = self._scan_folder(scan_id)
-        folder.mkdir()
+        make_folder(folder)
         os.replace(upload.path, folder / "data")
         about = {"id": scan_id, "sha256": digest, "bytes": upload.size, "created_at": time.time()}
         write_json(folder / "scan.json", manifest | about)
@@ -160,7 +167,7 @@ class FileStore:
     def write_job(self, spec: JobSpec) -> None:
         """Keep what was asked for, so that the queue can be rebuilt without Redis."""
         folder = self._job_folder(spec.id)
-        folder.mkdir(exist_ok=True)
+        make_folder(folder)
         write_json(folder / "job.json", spec.to_dict())
 
     def read_job(self, job_id: str) -> JobSpec | None:
@@ -194,11 +201,12 @@ class FileStore:
         The path it gets ends with `name`, so that writers may choose the format by it.
         """
         folder = self._job_folder(job_id) / f"a{attempt}"
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder.parent)
+        make_folder(folder)
         path = folder / name
-        with _replacing(path) as temporary:
+        with replacing(path) as temporary:
             write(temporary)
-            size, digest = _measure(temporary)
+            size, digest = measure(temporary)
         return Artifact(str(path.relative_to(self.root)), size, digest)
 
     def artifact_path(self, artifact: Artifact) -> Path:
@@ -237,7 +245,7 @@ class FileStore:
         """Remove temporary files that nobody finished. How many there were."""
         limit = time.time() - older_than_s
         removed = 0
-        for path in self.root.rglob(f"{_TEMPORARY}*"):
+        for path in self.root.rglob(f"{TEMPORARY}*"):
             with suppress(FileNotFoundError):
                 if path.stat().st_mtime < limit:
                     path.unlink()
@@ -267,65 +275,3 @@ class FileStore:
             if owner is not None:
                 return owner
             path.unlink(missing_ok=True)  # it named a scan that was removed
-
-
-def write_json(path: Path, values: Any) -> None:
-    """Store JSON values atomically."""
-    with _replacing(path) as temporary:
-        temporary.write_text(json.dumps(values, allow_nan=False))
-
-
-def read_json(path: Path) -> Any:
-    """Stored JSON values, None if there is no such file."""
-    try:
-        return json.loads(path.read_text())
-    except FileNotFoundError:
-        return None
-
-
-def create_exclusive(path: Path, content: bytes, mode: int = 0o644) -> bool:
-    """Create a file whole, with its content; False if it exists already."""
-    temporary = _temporary_beside(path)
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.link(temporary, path)
-    except FileExistsError:
-        return False
-    finally:
-        temporary.unlink()
-    _sync(path.parent)
-    return True
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    temporary = _temporary_beside(path)
-    try:
-        yield temporary
-        _sync(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    _sync(path.parent)
-
-
-def _temporary_beside(path: Path) -> Path:
-    return path.with_name(f"{_TEMPORARY}{secrets.token_hex(8)}-{path.name}")
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _measure(path: Path) -> tuple[int, str]:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        return file.tell(), digest

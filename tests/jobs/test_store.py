@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from jobs.errors import UnknownId
+from jobs.files import create_exclusive, read_json, write_json
 from jobs.ids import new_id
 from jobs.spec import Artifact, JobSpec
-from jobs.store import AddedScan, FileStore, create_exclusive, read_json, write_json
+from jobs.store import AddedScan, FileStore
 
 
 def add(store: FileStore, content: bytes) -> AddedScan:
