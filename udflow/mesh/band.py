@@ -13,6 +13,7 @@ from udflow.mesh.lattice import Lattice, children, dilated, find, shifted
 
 CHUNK = 1 << 17  # points per call of the field: bounds its memory, large enough for its speed
 MAX_DILATION = 8
+REACH = 2.0  # spacings: farther from all samples nothing is known
 
 
 @dataclass(frozen=True)
@@ -47,34 +48,60 @@ def find_band(
     Args:
         field: the surface.
         samples: (m, 3) points that the surface is known to pass near.
-        spacing: (m,) local distance of neighbouring samples; surface farther than about three
-            spacings from every sample is not looked for.
+        spacing: (m,) local distance of neighbouring samples; surface farther than REACH spacings
+            from every sample is not looked for.
         lattice: the vertices to choose from.
         width: in voxels.
     """
-    level = _coarsest_level(float(spacing.median()), lattice.step)
-    cells = _cells_around(samples, 3.0 * spacing, lattice, level)
+    reach = REACH * spacing
+    level = _coarsest_level(float(reach.median()), lattice.step)
+    cells = _cells_around(samples, reach, lattice, level)
     while level > 0:
-        centres = lattice.positions(cells, level)
-        distance = _length(centres - project_in_chunks(field, centres))
         half_diagonal = 0.5 * math.sqrt(3) * ((1 << level) - 1)
-        cells = children(cells[distance <= (half_diagonal + width) * lattice.step])
+        near, _ = _near(field, lattice, cells, level, half_diagonal + width)
+        cells = children(cells[near])
         level -= 1
-    points = lattice.positions(cells)
-    feet = project_in_chunks(field, points)
-    near = _length(points - feet) <= width * lattice.step
-    keys = cells[near]
+    near, feet = _near(field, lattice, cells, 0, width)
+    return _band(lattice, cells[near], feet[near])
+
+
+def widened(field: ProjectiveField, band: Band, around: Tensor, reach: int, width: float) -> Band:
+    """The band and all vertices within `width` voxels of the surface near some of its vertices.
+
+    Args:
+        field: the surface.
+        band: the band to start from.
+        around: (k,) keys of vertices.
+        reach: how many vertices away from them to look.
+        width: in voxels.
+    """
+    keys = torch.unique(around)
+    for _ in range(reach):
+        keys = dilated(keys)
+    keys = keys[find(band.keys, keys) < 0]
+    near, feet = _near(field, band.lattice, keys, 0, width)
+    merged, order = torch.sort(torch.cat([band.keys, keys[near]]))
+    return _band(band.lattice, merged, torch.cat([band.feet, feet[near]])[order])
+
+
+def _near(
+    field: ProjectiveField, lattice: Lattice, cells: Tensor, level: int, width: float
+) -> tuple[Tensor, Tensor]:
+    """(n,) whether cell centres lie within `width` voxels of the surface, and their (n, 3) feet."""
+    centres = lattice.positions(cells, level)
+    feet = project_in_chunks(field, centres)
+    distance = torch.linalg.vector_norm(centres - feet, dim=1)
+    return distance <= width * lattice.step, feet
+
+
+def _band(lattice: Lattice, keys: Tensor, feet: Tensor) -> Band:
     ahead = torch.stack([find(keys, shifted(keys, axis, 1)) for axis in range(3)], dim=1)
-    return Band(lattice, keys, feet[near], ahead, _reversed(ahead))
+    return Band(lattice, keys, feet, ahead, _reversed(ahead))
 
 
-def _length(vectors: Tensor) -> Tensor:
-    return torch.linalg.vector_norm(vectors, dim=1)
-
-
-def _coarsest_level(spacing: float, step: float) -> int:
-    """Cells about as wide as the samples are apart, at least two voxels wide."""
-    return max(1, min(6, round(math.log2(max(1.5 * spacing / step, 1.0)))))
+def _coarsest_level(reach: float, step: float) -> int:
+    """Cells at least as wide as the reach, so that one ring around a sample's cell covers it."""
+    return max(1, min(6, math.ceil(math.log2(max(reach / step, 1.0)))))
 
 
 def _cells_around(samples: Tensor, reach: Tensor, lattice: Lattice, level: int) -> Tensor:

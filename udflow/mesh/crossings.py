@@ -12,11 +12,20 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from udflow.mesh.band import Band
+from udflow.fields.interface import ProjectiveField
+from udflow.mesh.band import Band, project_in_chunks, widened
 from udflow.mesh.normals import band_normals
+from udflow.mesh.parity import decoded, odd_faces
 
-REPAIRS = 6
-_PLANES = ((0, 1), (0, 2), (1, 2))
+# Vertices around a doubtful flag that are added to the band, and how far from the surface they
+# may lie, in voxels: normals there are averaged over more and longer displacements.
+DOUBT_REACH = 3
+DOUBT_WIDTH = 2.0
+SHEET_GAP = 0.5  # voxels between the feet of an edge's ends, beyond what their heights explain
+BENT = 0.5  # cosine between normals below which their signs are compared in vain
+NEVER = 30.0  # evidence against a crossing where an edge leaves the band
+SLOPE, CAP = 6.0, 6.0
+QUESTIONS = 3  # rounds of asking the field about the flags that decoding would change
 
 
 @dataclass(frozen=True)
@@ -24,69 +33,128 @@ class Crossings:
     """Crossed lattice edges.
 
     Attributes:
-        vertex: (e,) int64 index in the band of the lower end of each crossed edge.
+        keys: (e,) int64 lattice vertex at the lower end of each crossed edge.
         axis: (e,) int64 direction of the edge.
         where: (e,) float32 position of the crossing along the edge, 0..1.
-        normals: (n, 3) float32 unit normals of arbitrary sign at all vertices of the band.
     """
 
-    vertex: Tensor
+    keys: Tensor
     axis: Tensor
     where: Tensor
-    normals: Tensor
 
 
-def find_crossings(band: Band) -> Crossings:
-    """The lattice edges of the band that the surface crosses."""
+@dataclass(frozen=True)
+class _Flags:
+    """Edges along x, y, z from each vertex of a band.
+
+    Attributes:
+        evidence: (n, 3) float32, log-likelihood ratio of "not crossed" against "crossed".
+        bent: (n, 3) bool, edges between whose ends the normal turns too far to be followed.
+        doubtful: (n,) bool, vertices whose flags contradict each other or the feet.
+        height: (n,) float32 signed heights of the vertices, each in its own frame.
+    """
+
+    evidence: Tensor
+    bent: Tensor
+    doubtful: Tensor
+    height: Tensor
+
+
+def find_crossings(field: ProjectiveField, band: Band) -> Crossings:
+    """The lattice edges that the surface crosses.
+
+    Args:
+        field: asked again near contradictions, where the band is widened.
+        band: the vertices near the surface.
+    """
+    flags = _flags(band)
+    if bool(flags.doubtful.any()):
+        band = widened(field, band, band.keys[flags.doubtful], DOUBT_REACH, DOUBT_WIDTH)
+        flags = _flags(band)
+    vertex, axis = _consistent(field, band, flags).nonzero().unbind(1)
+    return Crossings(band.keys[vertex], axis, _where(band, flags.height, vertex, axis))
+
+
+def _flags(band: Band) -> _Flags:
     normals = band_normals(band)
     displacement = band.lattice.positions(band.keys) - band.feet
     height = (displacement * normals).sum(dim=1)
-    columns = [_crossed(band, axis, height, normals) for axis in range(3)]
-    flags = _repaired(torch.stack(columns, dim=1), band)
-    vertex, axis = flags.nonzero().unbind(1)
-    near, far = height[vertex].abs(), height[band.ahead[vertex, axis]].abs()
-    where = near / (near + far).clamp_min(1e-12)
-    return Crossings(vertex, axis, where, normals)
+    columns = [_evidence_along(band, axis, height, normals) for axis in range(3)]
+    evidence, torn, bent = (torch.stack(column, dim=1) for column in zip(*columns, strict=True))
+    doubtful = (torn | odd_faces(evidence < 0, band.ahead)).any(dim=1)
+    return _Flags(evidence, bent, doubtful, height)
 
 
-def _crossed(band: Band, axis: int, height: Tensor, normals: Tensor) -> Tensor:
-    """(n,) whether the edge from each vertex along an axis is crossed."""
+def _evidence_along(band: Band, axis: int, height: Tensor, normals: Tensor) -> tuple[Tensor, ...]:
+    """(n,) evidence against a crossing, (n,) torn: the feet of the two ends lie on different
+    sheets, and (n,) bent: the normals of the two ends hardly agree.
+
+    Between close layers and inside sharp creases the heights change sign without a surface. There
+    the feet of the two ends lie farther apart, along the normal, than their heights explain.
+    """
+    step = band.lattice.step
     near = (band.ahead[:, axis] >= 0).nonzero()[:, 0]
     far = band.ahead[near, axis]
     normal = normals[near]
-    opposed = (normal * normals[far]).sum(dim=1) < 0
-    flag = (height[near] < 0) ^ (height[far] < 0) ^ opposed
-    # Feet on different sheets: between close layers the heights change sign without a surface.
-    # Looser than it looks; a strict test would undo the parity of the flags.
-    apart = ((band.feet[far] - band.feet[near]) * normal).sum(dim=1).abs()
-    allowed = 0.5 * (height[near].abs() + height[far].abs()) + 0.5 * band.lattice.step
-    crossed = torch.zeros_like(band.keys, dtype=torch.bool)
-    crossed[near] = flag & (apart <= allowed)
+    agreement = (normal * normals[far]).sum(dim=1)
+    crossed = (height[near] < 0) ^ (height[far] < 0) ^ (agreement < 0)
+
+    one, two = height[near].abs() / step, height[far].abs() / step
+    apart = ((band.feet[far] - band.feet[near]) * normal).sum(dim=1).abs() / step
+    gap = apart - 0.25 * (one + two) - SHEET_GAP
+    torn = crossed & (gap > 0)
+    trusted = torch.minimum(4 * agreement.square() + 0.05, 8 * torch.minimum(one, two) + 0.1)
+    evidence = torch.where(crossed, -trusted, trusted)
+    evidence = torch.where(torn, (4 * gap).clamp_max(3.0), evidence)
+    absent = torch.full_like(band.feet[:, 0], NEVER)
+    nowhere = torch.zeros_like(band.keys, dtype=torch.bool)
+    return tuple(
+        start.index_copy(0, near, values)
+        for start, values in (
+            (absent, evidence),
+            (nowhere, torn),
+            (nowhere, agreement.abs() < BENT),
+        )
+    )
+
+
+def _consistent(field: ProjectiveField, band: Band, flags: _Flags) -> Tensor:
+    """(n, 3) flags whose faces are even, except where the field itself speaks against it.
+
+    Crossings between bent normals, and what decoding would change, are held against the field at
+    the place of the crossing.
+    """
+    evidence = flags.evidence.clone()
+    asked = torch.zeros_like(flags.bent)
+    question = flags.bent & (evidence < 0)
+    for _ in range(QUESTIONS):
+        vertex, axis = question.nonzero().unbind(1)
+        if vertex.numel() > 0:
+            evidence[vertex, axis] += _field_evidence(field, band, flags.height, vertex, axis)
+        asked |= question
+        crossed = decoded(band.keys, band.ahead, evidence)
+        question = (crossed != (flags.evidence < 0)) & ~asked
     return crossed
 
 
-def _repaired(flags: Tensor, band: Band) -> Tensor:
-    """Flags (n, 3) after flipping edges at which three or all four faces are odd.
+def _field_evidence(
+    field: ProjectiveField, band: Band, height: Tensor, vertex: Tensor, axis: Tensor
+) -> Tensor:
+    """(e,) evidence against crossings from the distance at the place of the crossing.
 
-    One wrong flag makes its four faces odd. A true border or a junction of sheets makes at most
-    two and is left alone.
+    It is zero there if the edge is crossed; else, with both ends on one side, it is the harmonic
+    mean of their distances.
     """
-    exists = band.ahead >= 0
-    for _ in range(REPAIRS):
-        wrong = (_odd_faces_per_edge(flags, band) >= 3) & exists
-        if not bool(wrong.any()):
-            break
-        flags = flags ^ wrong
-    return flags
+    far = band.ahead[vertex, axis]
+    start, end = band.lattice.positions(band.keys[vertex]), band.lattice.positions(band.keys[far])
+    where = _where(band, height, vertex, axis)
+    points = start + where[:, None] * (end - start)
+    distance = torch.linalg.vector_norm(points - project_in_chunks(field, points), dim=1)
+    expected = 2 * (1 - where) * height[vertex].abs()  # the harmonic mean, by the choice of where
+    excess = (distance - 0.5 * expected) / band.lattice.step
+    return torch.where(excess < 0, 6 * excess, SLOPE * excess).clamp(-3.0, CAP)
 
 
-def _odd_faces_per_edge(flags: Tensor, band: Band) -> Tensor:
-    """(n, 3) how many of the four faces at each edge have an odd number of crossed edges."""
-    padded = torch.cat([flags, flags.new_zeros(1, 3)])
-    count = torch.zeros_like(flags, dtype=torch.int8)
-    for a, b in _PLANES:
-        odd = flags[:, a] ^ flags[:, b] ^ padded[band.ahead[:, a], b] ^ padded[band.ahead[:, b], a]
-        spread = torch.cat([odd, odd.new_zeros(1)])
-        count[:, a] += odd.to(torch.int8) + spread[band.behind[:, b]]
-        count[:, b] += odd.to(torch.int8) + spread[band.behind[:, a]]
-    return count
+def _where(band: Band, height: Tensor, vertex: Tensor, axis: Tensor) -> Tensor:
+    near, far = height[vertex].abs(), height[band.ahead[vertex, axis]].abs()
+    return near / (near + far).clamp_min(1e-12)

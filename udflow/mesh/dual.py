@@ -8,9 +8,8 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from udflow.mesh.band import Band
 from udflow.mesh.crossings import Crossings
-from udflow.mesh.lattice import decode, shifted
+from udflow.mesh.lattice import Lattice, decode, shifted
 
 # The four cells around an edge along axis a, in cyclic order, as steps back along the two axes
 # that follow a.
@@ -31,16 +30,16 @@ class DualSurface:
     quads: Tensor
 
 
-def dual_surface(band: Band, crossings: Crossings) -> DualSurface:
+def dual_surface(lattice: Lattice, crossings: Crossings) -> DualSurface:
     """One vertex per connected group of crossings of a cell and one quad per crossed edge."""
-    cell_keys = _cells_around_edges(band.keys[crossings.vertex], crossings.axis)
+    cell_keys = _cells_around_edges(crossings.keys, crossings.axis)
     cells, cell = torch.unique(cell_keys, return_inverse=True)
     local = _local_edges(crossings.axis)
     mask = torch.zeros_like(cells).index_add_(0, cell.reshape(-1), (1 << local).reshape(-1))
     groups, count = (table.to(cells.device) for table in group_table())
     first = torch.cumsum(count[mask], dim=0) - count[mask]
     quads = first[cell] + groups[mask[cell], local]
-    vertices = _mean_crossings(band, crossings, quads, int(count[mask].sum()))
+    vertices = _mean_crossings(lattice, crossings, quads, int(count[mask].sum()))
     return DualSurface(vertices, quads)
 
 
@@ -63,20 +62,20 @@ def _local_edges(axis: Tensor) -> Tensor:
     return 4 * axis[:, None] + number
 
 
-def _mean_crossings(band: Band, crossings: Crossings, quads: Tensor, count: int) -> Tensor:
+def _mean_crossings(lattice: Lattice, crossings: Crossings, quads: Tensor, count: int) -> Tensor:
     """(count, 3) mean crossing of each group.
 
     Sums run over integers so that their order, which parallel devices vary, does not matter.
     """
     along = torch.nn.functional.one_hot(crossings.axis, 3) * crossings.where[:, None]
-    fixed = (along * _FIXED_POINT).long() + decode(band.keys[crossings.vertex]) * _FIXED_POINT
+    fixed = (along * _FIXED_POINT).long() + decode(crossings.keys) * _FIXED_POINT
     corner = quads.reshape(-1)
     total = fixed.new_zeros(count, 3).index_add_(0, corner, fixed.repeat_interleave(4, dim=0))
     members = torch.bincount(corner, minlength=count)[:, None]
     whole = total // (members * _FIXED_POINT)
     fraction = (total - whole * members * _FIXED_POINT).double() / (members * _FIXED_POINT)
-    offset = (whole + fraction) * band.lattice.step
-    return (band.lattice.origin.double() + offset).float()
+    offset = (whole + fraction) * lattice.step
+    return (lattice.origin.double() + offset).float()
 
 
 @cache

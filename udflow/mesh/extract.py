@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -11,14 +12,18 @@ from udflow.config import ExtractConfig
 from udflow.errors import EmptySurface
 from udflow.fields.interface import ProjectiveField
 from udflow.mesh.band import find_band, project_in_chunks
+from udflow.mesh.cleaning import without_dust, without_false_sheets
 from udflow.mesh.crossings import find_crossings
-from udflow.mesh.dual import dual_surface, triangles
+from udflow.mesh.dual import DualSurface, dual_surface, triangles
+from udflow.mesh.holes import closed
 from udflow.mesh.lattice import Lattice
+from udflow.mesh.manifold import separated
 from udflow.mesh.mesh import Mesh
-from udflow.mesh.orientation import oriented
+from udflow.mesh.orientation import facing_outwards, oriented
 from udflow.mesh.topology import compacted
+from udflow.mesh.trim import trimmed
 
-BAND_WIDTH = 1.3  # voxels: crossed edges end within 1, the rest allows for errors of the field
+BAND_WIDTH = 1.1  # voxels: both ends of a crossed edge lie within 1
 
 
 def extract(field: ProjectiveField, samples: Tensor, config: ExtractConfig) -> Mesh:
@@ -39,24 +44,47 @@ def extract(field: ProjectiveField, samples: Tensor, config: ExtractConfig) -> M
     lattice = Lattice.around(samples, config.resolution)
     spacing = _spacing(samples)
     band = find_band(field, samples, spacing, lattice, BAND_WIDTH)
-    surface = dual_surface(band, find_crossings(band))
-    if surface.quads.shape[0] == 0:
+    surface = dual_surface(lattice, find_crossings(field, band))
+    mesh = _on_surface(field, surface, lattice.step)
+    if len(mesh.faces) > 0:
+        mesh = _finished(field, mesh, samples, float(spacing.median()), lattice.step)
+    if len(mesh.faces) == 0:
         raise EmptySurface(
             f"The field has no surface near the {samples.shape[0]} points at resolution "
             f"{config.resolution}. Raise the resolution, or fit the field again with more points."
         )
+    return mesh
+
+
+def _on_surface(field: ProjectiveField, surface: DualSurface, voxel: float) -> Mesh:
     vertices = project_in_chunks(field, surface.vertices)
+    moved = torch.linalg.vector_norm(vertices - surface.vertices, dim=1)
     faces = triangles(vertices, surface.quads)
-    return _finished(vertices, faces)
+    mesh = Mesh(vertices.double().cpu().numpy(), faces.cpu().numpy())
+    return without_false_sheets(mesh, moved.double().cpu().numpy(), voxel)
 
 
-def _finished(vertices: Tensor, faces: Tensor) -> Mesh:
-    points, corners = compacted(vertices.double().cpu().numpy(), faces.cpu().numpy())
-    return Mesh(points, oriented(points, corners))
+def _finished(
+    field: ProjectiveField, mesh: Mesh, samples: Tensor, spacing: float, voxel: float
+) -> Mesh:
+    """Without what the samples do not support, whole and oriented."""
+
+    def project(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        feet = project_in_chunks(field, torch.from_numpy(points).to(samples))
+        return np.asarray(feet.double().cpu().numpy())
+
+    data = samples.double().cpu().numpy()
+    mesh = oriented(mesh)
+    mesh = trimmed(mesh, data, voxel)
+    mesh = without_dust(mesh, data, max(spacing, voxel))
+    mesh = separated(mesh)
+    mesh = closed(mesh, data, voxel, project)
+    return facing_outwards(compacted(mesh))
 
 
 def _spacing(samples: Tensor) -> Tensor:
     """(m,) distance of neighbouring samples around each, from the circle that holds eight."""
     points = samples.cpu().numpy()
-    radius = cKDTree(points).query(points, k=9, workers=2)[0][:, -1]
-    return torch.from_numpy(np.asarray(radius * (np.pi / 8) ** 0.5)).to(samples)
+    count = min(9, len(points))
+    radius = cKDTree(points).query(points, k=[count], workers=2)[0][:, 0]
+    return torch.from_numpy(radius * (np.pi / count) ** 0.5).to(samples)

@@ -7,16 +7,17 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
-from udflow.mesh.topology import edges_of, parts, side_ends
+from udflow.mesh.mesh import Mesh
+from udflow.mesh.topology import edges_of, face_normals, parts, side_ends
 
 
-def oriented(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(f, 3) faces, reversed where needed so that neighbours agree.
+def oriented(mesh: Mesh) -> Mesh:
+    """The mesh with faces reversed where needed so that neighbours agree.
 
     Faces are neighbours where exactly two meet at an edge. A one-sided part (a Möbius strip) keeps
-    a seam along which neighbours disagree. Each part is turned to enclose positive volume as seen
-    from its centre: outwards where it is closed, by convention where it is open.
+    a seam along which neighbours disagree.
     """
+    faces = mesh.faces
     pair = edges_of(faces).sides_where(2)
     start, _ = side_ends(faces, pair)
     disagree = start[:, 0] == start[:, 1]  # both run along the edge in the same direction
@@ -27,8 +28,19 @@ def oriented(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray
         tree = _spanning_tree(neighbours, one_sided)
         kept = ~one_sided[neighbours[:, 0]] | tree
         label = _double_cover(neighbours[kept], disagree[kept], len(faces))
-    turned = _reversed_where(faces, label[0] > label[1])
-    return _outwards(vertices, turned, np.minimum(label[0], label[1]))
+    return _reversed_where(mesh, label[0] > label[1])
+
+
+def facing_outwards(mesh: Mesh) -> Mesh:
+    """The mesh with each part turned to enclose positive volume as seen from its centre: outwards
+    where it is closed, by convention where it is open."""
+    part = parts(mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2), len(mesh.vertices))
+    part = part[mesh.faces[:, 0]]
+    size = np.maximum(np.bincount(part), 1)[:, None]
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    centre = np.stack([np.bincount(part, middle[:, i]) for i in range(3)], axis=1) / size
+    volume = np.bincount(part, ((middle - centre[part]) * face_normals(mesh)).sum(axis=1))
+    return _reversed_where(mesh, volume[part] < 0)
 
 
 def _double_cover(
@@ -66,18 +78,5 @@ def _spanning_tree(neighbours: NDArray[np.int64], chosen: NDArray[np.bool_]) -> 
     return in_tree & once
 
 
-def _reversed_where(faces: NDArray[np.int64], where: NDArray[np.bool_]) -> NDArray[np.int64]:
-    return np.where(where[:, None], faces[:, ::-1], faces)
-
-
-def _outwards(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], part: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Faces of parts with negative volume around their own centre reversed."""
-    corner = vertices[faces]
-    size = np.maximum(np.bincount(part), 1)[:, None]
-    middle = corner.mean(axis=1)
-    centre = np.stack([np.bincount(part, middle[:, i]) for i in range(3)], axis=1) / size
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    volume = np.bincount(part, ((middle - centre[part]) * normal).sum(axis=1))
-    return _reversed_where(faces, volume[part] < 0)
+def _reversed_where(mesh: Mesh, where: NDArray[np.bool_]) -> Mesh:
+    return Mesh(mesh.vertices, np.where(where[:, None], mesh.faces[:, ::-1], mesh.faces))

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from udflow.mesh.mesh import Mesh
+
 
 @dataclass(frozen=True)
 class Edges:
@@ -60,6 +62,11 @@ def side_ends(
     return corners[sides], corners[sides - sides % 3 + (sides + 1) % 3]
 
 
+def side_pairs(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(3f, 2) start and end vertex of every side."""
+    return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+
+
 def parts(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """(count,) number of the connected part that each node is in, given (p, 2) connected pairs."""
     weight = np.ones(len(pairs), dtype=np.int8)
@@ -68,11 +75,34 @@ def parts(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return np.asarray(label, dtype=np.int64)
 
 
-def compacted(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices and faces without the vertices that no face uses; order is kept."""
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces.reshape(-1)] = True
+def compacted(mesh: Mesh) -> Mesh:
+    """The mesh without the vertices that no face uses; order is kept."""
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces.reshape(-1)] = True
     number = np.cumsum(used) - 1
-    return vertices[used], number[faces]
+    return Mesh(mesh.vertices[used], number[mesh.faces])
+
+
+def face_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """(f, 3) normals as long as twice the area of their face."""
+    corner = mesh.vertices[mesh.faces]
+    one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    return np.stack(
+        [
+            one[:, 1] * two[:, 2] - one[:, 2] * two[:, 1],
+            one[:, 2] * two[:, 0] - one[:, 0] * two[:, 2],
+            one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0],
+        ],
+        axis=1,
+    )
+
+
+def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """(v, 3) unit normals, means over the faces around; faces should be oriented."""
+    normal = face_normals(mesh)
+    count = len(mesh.vertices)
+    total = np.zeros((count, 3))
+    for axis in range(3):
+        for corner in range(3):
+            total[:, axis] += np.bincount(mesh.faces[:, corner], normal[:, axis], count)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
