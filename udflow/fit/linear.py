@@ -17,7 +17,9 @@ from udflow.fields.spline import SplineGrid, SplineLevel, quadratic_weights
 
 _VALUE_WEIGHT = 0.05  # of the energy's own value against its three slopes
 _TOLERANCE = 1e-3
-_MAX_ITERATIONS = 10  # more change the field by less than its error
+_EASY = 1e-2  # smoothness up to which
+_ITERATIONS = 10  # are enough: more change the field by less than its error
+_MOST_ITERATIONS = 100  # beyond it they grow like its root, up to here
 _THIRD_DIFFERENCE = (-1.0, 3.0, -3.0, 1.0)
 
 
@@ -51,7 +53,7 @@ def solve_level(grid: SplineGrid, displacement: Tensor, smoothness: float) -> Li
             "by many orders of magnitude"
         )
     system = _NormalSystem.of(grid, displacement / grid.spacing, smoothness)
-    coefficients, iterations = _conjugate_gradients(system, system.start())
+    coefficients, iterations = _conjugate_gradients(system, system.start(), _limit(smoothness))
     if not bool(torch.isfinite(coefficients).all()):
         raise Diverged("the linear solve did not stay finite; choose a larger spline.smoothness")
     level = SplineLevel(grid, coefficients, coefficients[system.cell_nodes])
@@ -149,7 +151,13 @@ def _runs_of_four(grid: SplineGrid) -> Tensor:
     return torch.cat(runs)
 
 
-def _conjugate_gradients(system: _NormalSystem, start: Tensor) -> tuple[Tensor, int]:
+def _limit(smoothness: float) -> int:
+    """Iterations allowed: the condition of the system grows in proportion to its smoothness."""
+    growth = max(1.0, smoothness / _EASY) ** 0.5
+    return round(min(_ITERATIONS * growth, _MOST_ITERATIONS))
+
+
+def _conjugate_gradients(system: _NormalSystem, start: Tensor, limit: int) -> tuple[Tensor, int]:
     """Conjugate gradients with a diagonal preconditioner; returns solution and iterations."""
     c = start.clone()
     right = system.right_hand_side()
@@ -159,7 +167,7 @@ def _conjugate_gradients(system: _NormalSystem, start: Tensor) -> tuple[Tensor, 
     direction = z
     rho = residual.dot(z)
     enough = _TOLERANCE * right.norm()
-    for iteration in range(_MAX_ITERATIONS):
+    for iteration in range(limit):
         if bool(residual.norm() <= enough):
             return c, iteration
         image = system.product(direction)
@@ -169,4 +177,4 @@ def _conjugate_gradients(system: _NormalSystem, start: Tensor) -> tuple[Tensor, 
         z = residual * inverse_diagonal
         rho, previous = residual.dot(z), rho
         direction = z + (rho / previous) * direction
-    return c, _MAX_ITERATIONS
+    return c, limit
