@@ -1,0 +1,130 @@
+"""Densification, equation (9), along exact fields that udflow has not fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from shapes import Hemisphere, MoebiusStrip, PlanePatch, Shape, Sphere, Torus
+from torch import Tensor
+
+from udflow.config import DensifyConfig
+from udflow.densify import reflow, rounds_needed
+from udflow.fields.interface import ProjectiveField
+
+CONFIG = DensifyConfig(target_points=2000, points_per_round=600)
+
+
+def grown(
+    cloud: Tensor,
+    field: ProjectiveField,
+    config: DensifyConfig = CONFIG,
+    rounds: int = 1,
+    seed: int = 0,
+) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    samples = cloud
+    for _ in range(rounds):
+        samples = reflow(samples, cloud, field, config, generator)
+    return samples
+
+
+@pytest.mark.parametrize(
+    ("points", "rounds"), [(0, 4), (199, 4), (200, 3), (1400, 1), (1999, 1), (2000, 0), (9999, 0)]
+)
+def test_rounds_needed(points: int, rounds: int) -> None:
+    assert rounds_needed(points, CONFIG) == rounds
+
+
+@pytest.mark.parametrize("shape", [Sphere(), Torus(), PlanePatch(), MoebiusStrip()], ids=type)
+def test_it_reaches_the_target_in_the_rounds_it_said(shape: Shape) -> None:
+    cloud = shape.sample(500)
+    rounds = rounds_needed(len(cloud), CONFIG)
+    sizes = [len(grown(cloud, shape, rounds=r)) for r in range(rounds + 1)]
+    assert sizes == [500, 1100, 1700, 2000]
+
+
+@pytest.mark.parametrize("shape", [Sphere(), Torus(), MoebiusStrip()], ids=type)
+def test_new_points_lie_on_the_surface_and_the_measured_come_first(shape: Shape) -> None:
+    cloud = shape.sample(500)
+    points = grown(cloud, shape, rounds=3)
+    assert torch.equal(points[:500], cloud)
+    assert float(shape.distance(points[500:]).max()) < 1e-6
+    assert len(points.unique(dim=0)) == len(points)
+
+
+def test_enough_is_enough() -> None:
+    cloud = Sphere().sample(2000)
+    assert grown(cloud, Sphere()) is cloud
+
+
+def test_nothing_is_made_up_beyond_a_rim() -> None:
+    """The field is a whole sphere, the cloud its upper half: the rest was never measured."""
+    cloud = Hemisphere().sample(500)
+    spacing = (2 * torch.pi * 0.25 / 500) ** 0.5
+    points = grown(cloud, Sphere(), rounds=3)
+    assert len(points) > 1500
+    below = -points[:, 2].min()
+    assert 0 <= float(below) < 1.5 * spacing
+
+
+def test_new_points_do_not_creep_from_round_to_round() -> None:
+    """What lies between is judged by the measured points, not by those made up before."""
+    cloud = Hemisphere().sample(500)
+    spacing = (2 * torch.pi * 0.25 / 500) ** 0.5
+    config = DensifyConfig(target_points=4000, points_per_round=100)
+    points = grown(cloud, Sphere(), config, rounds=12)
+    assert -float(points[:, 2].min()) < 1.5 * spacing
+
+
+@dataclass(frozen=True)
+class Lazy:
+    """A field that goes only part of the way."""
+
+    shape: Shape
+    part: float
+
+    def project(self, points: Tensor) -> Tensor:
+        return points + self.part * (self.shape.closest(points) - points)
+
+
+def test_only_points_below_the_threshold_are_kept() -> None:
+    """This field puts a foot at 60 % of its distance; the threshold is on what the field says."""
+    cloud = Sphere().sample(500)
+    config = DensifyConfig(target_points=2000, points_per_round=1500, threshold=0.002)
+    wide = DensifyConfig(target_points=2000, points_per_round=1500, threshold=0.1)
+    field = Lazy(Sphere(), 0.6)
+    strict, lax = (Sphere().distance(grown(cloud, field, c)[500:]) for c in (config, wide))
+    assert 0.6 * float(strict.max()) < 0.002 + 1e-6
+    assert 0.6 * float(lax.max()) > 0.005
+    assert 100 < len(strict) < len(lax)
+
+
+def test_a_field_without_a_surface_adds_nothing() -> None:
+    class Adrift:
+        def project(self, points: Tensor) -> Tensor:
+            return points + 0.02
+
+    cloud = Sphere().sample(500)
+    assert torch.equal(grown(cloud, Adrift()), cloud)
+
+
+def test_it_repeats_with_the_generator() -> None:
+    cloud = Torus().sample(500)
+    one, two = grown(cloud, Torus(), rounds=2), grown(cloud, Torus(), rounds=2)
+    assert torch.equal(one, two)
+    assert not torch.equal(one, grown(cloud, Torus(), rounds=2, seed=1))
+
+
+def test_most_points_are_added_where_samples_are_sparse() -> None:
+    left = PlanePatch().sample(900)
+    right = PlanePatch().sample(100, seed=1)
+    cloud = torch.cat([left[left[:, 0] < 0], right[right[:, 0] >= 0]])
+    points = grown(cloud, PlanePatch(), rounds=2)
+
+    def share(of: Tensor) -> float:
+        return float((of[:, 0] >= 0).float().mean())
+
+    assert share(cloud) < 0.15
+    assert share(points[len(cloud) :]) > 0.3
