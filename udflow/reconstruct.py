@@ -24,7 +24,6 @@ from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
 from udflow.progress import Progress, Stage
 
-
 _SITE_PER_VOXEL = 0.5  # detail of the data that a mesh of a given voxel can show
 
 
@@ -160,7 +159,9 @@ class _Run:
         self._clock("exporting")
         return Reconstruction(
             mesh=replace(mesh, vertices=vertices, colors=colors),
-            field=UnsignedDistanceField(fit.field, self.normalisation),
+            field=UnsignedDistanceField(
+                fit.field, self._measured_surface().surface, self.normalisation
+            ),
             points=PointCloud(points, colors=transfer_colors(points, self.cloud)),
             report=self._report(mesh),
         )

@@ -18,9 +18,12 @@ from udflow.cloud.neighbours import Neighbours, NeighbourTree
 NEIGHBOUR_COUNTS = (10, 16, 24, 40, 64, 96)  # widths tried for each sample
 _SCORE_NEIGHBOURS = 48  # samples over which held-back errors are averaged
 _FALLOFF = 2.0  # weight exp(-falloff (distance / radius)^2)
-_FINE = 0.008  # of the reach: a held-back error not worth a wider neighbourhood
+_FINE = 0.02  # of the spacing: a held-back error not worth a wider neighbourhood
 _PATCH = 2.0  # radii from its sample beyond which a quadric is not followed
-_CHUNK = 1 << 16
+_BLEND = 6  # quadrics that share in a foot
+_DISSENT = 0.65  # spacings by which a foot may differ from that on the nearest quadric
+_REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
+_CHUNK = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class LocalQuadrics:
         radius: (n,) distance of the farthest neighbour used.
         error: (n,) held-back prediction error, a length: how far a sample lies from the quadric
             fitted to its neighbours alone, root mean square over the neighbourhood.
-        reach: (n,) how far from the sample, along the surface, the quadric may be trusted.
+        spacing: (n,) distance between samples on the surface around the site.
         count: (n,) int64 neighbours used.
     """
 
@@ -46,7 +49,7 @@ class LocalQuadrics:
     coefficients: Tensor
     radius: Tensor
     error: Tensor
-    reach: Tensor
+    spacing: Tensor
     count: Tensor
 
     def __getitem__(self, index: Tensor) -> LocalQuadrics:
@@ -70,7 +73,7 @@ def fit_quadrics(sites: Tensor, samples: Tensor, tree: NeighbourTree) -> LocalQu
     score_neighbours = NeighbourTree(sites).nearest(sites, _SCORE_NEIGHBOURS)
     best = _fit(samples, tree, sites, counts[0])
     best_score = _smoothed(best.error, score_neighbours)
-    growing = (best_score > _FINE * best.reach).nonzero().squeeze(1)
+    growing = (best_score > _FINE * best.spacing).nonzero().squeeze(1)
     for k in counts[1:]:
         if len(growing) == 0:
             break
@@ -82,7 +85,7 @@ def fit_quadrics(sites: Tensor, samples: Tensor, tree: NeighbourTree) -> LocalQu
         growing = growing[better]
         _replace(best, growing, wider[better])
         best_score[growing] = score[growing]
-        growing = growing[best_score[growing] > _FINE * best.reach[growing]]
+        growing = growing[best_score[growing] > _FINE * best.spacing[growing]]
     return replace(best, error=best_score)
 
 
@@ -101,7 +104,51 @@ def quadrics_between(
     for k in like.count.unique().tolist():
         which = (like.count == k).nonzero().squeeze(1)
         _replace(result, which, _fit(samples, tree, points[which], int(k)))
-    return replace(result, error=like.error, reach=like.reach)
+    return replace(result, error=like.error, spacing=like.spacing)
+
+
+@dataclass(frozen=True)
+class QuadricSurface:
+    """Quadrics and the tree of their origins, the sites. A `ProjectiveField` by itself: right at
+    any distance, exact where samples are dense, and slower than a fitted field."""
+
+    quadrics: LocalQuadrics
+    tree: NeighbourTree
+
+    @classmethod
+    def of(cls, quadrics: LocalQuadrics) -> QuadricSurface:
+        """The surface of some quadrics."""
+        return cls(quadrics, NeighbourTree(quadrics.origin))
+
+    def project(self, points: Tensor) -> Tensor:
+        """Feet of (n, 3) points on the blended quadrics of their nearest sites."""
+        if len(points) == 0:
+            return points
+        return torch.cat([self._project(chunk) for chunk in points.split(_CHUNK)])
+
+    def _project(self, points: Tensor) -> Tensor:
+        near = self.tree.nearest(points, _BLEND)
+        count = near.index.shape[1]
+        feet = feet_on_quadrics(
+            self.quadrics[near.index.reshape(-1)],
+            points[:, None].expand(-1, count, -1).reshape(-1, 3),
+        ).view(-1, count, 3)
+        nearest = self.quadrics.origin[near.index[:, 0]]
+        spacing = self.quadrics.spacing[near.index[:, 0]]
+
+        first, last = near.distance[:, :1], near.distance[:, -1:]
+        closeness = (near.distance.square() - first.square()) / last.square().clamp_min(1e-18)
+        # quadrics of another sheet or of the far side of a crease must not pull the foot
+        dissent = (feet - feet[:, :1]).norm(dim=2) / (_DISSENT * spacing[:, None])
+        weights = torch.exp(-4 * closeness - dissent.square())
+        foot = (weights[..., None] * feet).sum(dim=1) / weights.sum(dim=1, keepdim=True)
+        return nearest + _limited(foot - nearest, _REACH * spacing)
+
+
+def _limited(offset: Tensor, limit: Tensor) -> Tensor:
+    """Offsets (n, 3) shortened to at most `limit` (n,): quadrics end where their data end."""
+    length = offset.norm(dim=1).clamp_min(1e-18)
+    return offset * (limit / length).clamp_max(1.0)[:, None]
 
 
 def joined(parts: list[LocalQuadrics]) -> LocalQuadrics:
@@ -145,9 +192,10 @@ def _fit_chunk(samples: Tensor, neighbours: Neighbours, origin: Tensor) -> Local
     # leave-one-out residual of the sample itself: r / (1 - H), with H its own influence
     influence = inverse[:, 0, 0].clamp(0, 0.999)
     error = (coefficients[:, 0].abs() / (1 - influence)) * radius[:, 0]
-    reach = 2.0 * neighbours.distance[:, min(6, neighbours.distance.shape[1] - 1)]
+    # one sample per a^2 puts the sixth neighbour at about 1.3 a
+    spacing = neighbours.distance[:, min(6, neighbours.distance.shape[1] - 1)] / 1.3
     count = torch.full_like(neighbours.index[:, 0], neighbours.index.shape[1])
-    return LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, reach, count)
+    return LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, spacing, count)
 
 
 def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:
@@ -167,6 +215,9 @@ def _monomials(u: Tensor, v: Tensor) -> Tensor:
 
 def feet_on_quadrics(quadrics: LocalQuadrics, queries: Tensor, newton_steps: int = 2) -> Tensor:
     """The nearest point on quadric i of query i, by Newton steps in the frame.
+
+    From far away a step may overshoot along a curved patch: of the foot, the point half-way to
+    the origin and that above the origin, the nearest is taken.
 
     Args:
         quadrics: n quadrics.
@@ -197,6 +248,15 @@ def feet_on_quadrics(quadrics: LocalQuadrics, queries: Tensor, newton_steps: int
         u = u - (vv * gradient_u - uv * gradient_v) / determinant
         v = v - (uu * gradient_v - uv * gradient_u) / determinant
         u, v = u.clamp(-_PATCH, _PATCH), v.clamp(-_PATCH, _PATCH)
-    w = c0 + c1 * u + c2 * v + c3 * u * u + c4 * u * v + c5 * v * v
-    foot = torch.stack([u, v, w], dim=1)
-    return quadrics.origin + radius * torch.einsum("ni,nij->nj", foot, quadrics.frame)
+    best = _lifted(quadrics.coefficients, u, v)
+    for share in (0.5, 0.0):
+        nearer = _lifted(quadrics.coefficients, share * u, share * v)
+        improves = (nearer - local).norm(dim=1) < (best - local).norm(dim=1)
+        best = torch.where(improves[:, None], nearer, best)
+    return quadrics.origin + radius * torch.einsum("ni,nij->nj", best, quadrics.frame)
+
+
+def _lifted(coefficients: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Points of quadrics over (n,) u and v, in their frames, (n, 3)."""
+    height = (coefficients * _monomials(u, v)).sum(dim=1)
+    return torch.stack([u, v, height], dim=1)

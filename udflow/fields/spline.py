@@ -213,8 +213,13 @@ class SplineField:
                 velocity = self.velocity(x[moving], self.schedule.time(k))
                 x[moving] = x[moving] - self.schedule.step(k) * velocity
         for _ in range(_REFINEMENTS):
-            x = x - self._finest(SplineLevel.normal_gradient, x, 0)
+            x = self.refine(x)
         return x
+
+    def refine(self, points: Tensor) -> Tensor:
+        """The last step of equation (4), from t_1 to 0: x - dt_1 v(x, t_1) = x - grad E(x), along
+        the normal only. (n, 3) points near the surface to their feet."""
+        return points - self._finest(SplineLevel.normal_gradient, points, 0)
 
     def _start(self, points: Tensor) -> Tensor:
         """(n,) smallest k whose level covers the point, K where none does."""

@@ -13,6 +13,7 @@ from safetensors.torch import save as to_bytes
 from torch import Tensor
 
 from udflow.cloud.normalisation import Normalisation
+from udflow.cloud.quadrics import LocalQuadrics, QuadricSurface
 from udflow.errors import BadField
 from udflow.fields.lattice import SparseLattice
 from udflow.fields.spline import SplineField, SplineGrid, SplineLevel
@@ -21,6 +22,14 @@ from udflow.flow.schedule import TimeSchedule
 
 FORMAT = "udflow-spline-field"
 VERSION = 1
+_QUADRICS = {  # name -> trailing shape
+    "origin": (3,),
+    "frame": (3, 3),
+    "coefficients": (6,),
+    "radius": (),
+    "error": (),
+    "spacing": (),
+}
 _MAX_LATTICE = 4096  # points along an axis that a stored level may claim
 
 
@@ -35,6 +44,9 @@ def field_to_bytes(field: UnsignedDistanceField) -> bytes:
         levels.append(
             {"origin": grid.origin.tolist(), "spacing": grid.spacing, "shape": grid.cells.shape}
         )
+    for name in _QUADRICS:
+        tensors[f"quadrics.{name}"] = getattr(field.surface.quadrics, name).cpu().contiguous()
+    tensors["quadrics.count"] = field.surface.quadrics.count.cpu().contiguous()
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -72,6 +84,9 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
                 )
                 for i, described in enumerate(header["levels"])
             )
+            surface = _surface(
+                {name: file.get_tensor(f"quadrics.{name}") for name in (*_QUADRICS, "count")}
+            )
         x, y, z = (float(c) for c in header["centre"])
         normalisation = Normalisation((x, y, z), float(header["scale"]))
         schedule = TimeSchedule(int(header["steps"]))
@@ -79,7 +94,7 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
         if isinstance(error, BadField):
             raise
         raise BadField(f"{path.name} is not a readable udflow field: {error}") from error
-    return UnsignedDistanceField(SplineField(schedule, levels), normalisation)
+    return UnsignedDistanceField(SplineField(schedule, levels), surface, normalisation)
 
 
 def _check_header(header: dict[str, Any]) -> None:
@@ -95,6 +110,17 @@ def _check_header(header: dict[str, Any]) -> None:
     numbers = [*header["centre"], header["scale"]]
     if not all(math.isfinite(n) for n in numbers) or header["scale"] <= 0:
         raise BadField("the field's frame is not finite")
+
+
+def _surface(tensors: dict[str, Tensor]) -> QuadricSurface:
+    count = len(tensors["origin"])
+    for name, shape in _QUADRICS.items():
+        tensor = tensors[name]
+        if tensor.shape != (count, *shape) or not bool(torch.isfinite(tensor).all()):
+            raise BadField(f"the field's quadrics are damaged: {name}")
+    if count == 0 or tensors["count"].shape != (count,) or bool((tensors["radius"] <= 0).any()):
+        raise BadField("the field's quadrics are damaged: count")
+    return QuadricSurface.of(LocalQuadrics(**tensors))
 
 
 def _level(described: dict[str, Any], coefficients: Tensor, cells: Tensor) -> SplineLevel:

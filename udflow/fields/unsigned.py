@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from udflow.cloud.normalisation import Normalisation
+from udflow.cloud.quadrics import QuadricSurface
 from udflow.errors import InvalidQuery
 from udflow.fields.spline import SplineField
 
 _CHUNK = 1 << 17
+_NEAR = 1.0  # cells of the finest level within which the spline is trusted alone
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,18 @@ class FieldAnswer:
 class UnsignedDistanceField:
     """A fitted field that answers in world units.
 
+    Near the surface the spline answers. A smooth energy blurs the places that are equally far
+    from two parts of the surface, so farther away the nearest quadric gives the foot and the
+    spline refines it.
+
     Attributes:
         spline: the field in the unit frame.
+        surface: the quadrics that its trajectories ended on, unit frame.
         normalisation: between world and unit frame.
     """
 
     spline: SplineField
+    surface: QuadricSurface
     normalisation: Normalisation
 
     @property
@@ -76,12 +85,21 @@ class UnsignedDistanceField:
         valid: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
         unit = torch.from_numpy(self.normalisation.to_unit(np.clip(points, low, high)))
         with torch.inference_mode():
-            feet = self.spline.project(unit.to(device)).cpu().numpy()
+            feet = self._feet(unit.to(device)).cpu().numpy()
         closest = self.normalisation.to_world(feet)
         offset = points - closest
         distance = np.linalg.norm(offset, axis=1)
         gradient = offset / np.maximum(distance, np.finfo(np.float64).tiny)[:, None]
         return FieldAnswer(distance, gradient.astype(np.float32), closest, valid)
+
+    def _feet(self, points: Tensor) -> Tensor:
+        feet = self.spline.project(points)
+        trusted = _NEAR * self.spline.levels[0].grid.spacing
+        near = self.spline.levels[0].covers(points) & ((feet - points).norm(dim=1) < trusted)
+        far = (~near).nonzero().squeeze(1)
+        if len(far) > 0:
+            feet[far] = self.spline.refine(self.surface.project(points[far]))
+        return feet
 
     def _half_edge(self) -> float:
         grid = self.spline.levels[-1].grid
