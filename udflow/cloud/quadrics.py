@@ -100,7 +100,7 @@ def quadrics_between(
         tree: the tree of the samples.
         like: n quadrics that were fitted nearby.
     """
-    result = replace(like, origin=points)
+    result = LocalQuadrics(*(torch.empty_like(getattr(like, f.name)) for f in fields(like)))
     for k in like.count.unique().tolist():
         which = (like.count == k).nonzero().squeeze(1)
         _replace(result, which, _fit(samples, tree, points[which], int(k)))
