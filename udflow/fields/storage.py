@@ -30,7 +30,7 @@ _QUADRICS = {  # name -> trailing shape
     "error": (),
     "spacing": (),
 }
-_MAX_LATTICE = 4096  # points along an axis that a stored level may claim
+_MAX_LATTICE = 640  # points along an axis; 512 cells and their margin need fewer
 
 
 def field_to_bytes(field: UnsignedDistanceField) -> bytes:
@@ -70,7 +70,7 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
         BadField: not such a file, damaged, or of a version this release does not know.
         FileNotFoundError: no such file.
     """
-    if not path.exists():
+    if not path.is_file():
         raise FileNotFoundError(f"no field at {path}")
     try:
         with safe_open(str(path), framework="pt", device=device) as file:
@@ -90,22 +90,29 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
         x, y, z = (float(c) for c in header["centre"])
         normalisation = Normalisation((x, y, z), float(header["scale"]))
         schedule = TimeSchedule(int(header["steps"]))
-    except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        if isinstance(error, BadField):
-            raise
+    except BadField:
+        raise
+    except (
+        SafetensorError,
+        LookupError,
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        RuntimeError,
+    ) as error:
         raise BadField(f"{path.name} is not a readable udflow field: {error}") from error
     return UnsignedDistanceField(SplineField(schedule, levels), surface, normalisation)
 
 
-def _check_header(header: dict[str, Any]) -> None:
-    if header.get("format") != FORMAT:
+def _check_header(header: Any) -> None:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise BadField("the file holds no udflow field; fit one with udflow reconstruct --field")
     if header.get("version") != VERSION:
         raise BadField(
             f"the field has version {header.get('version')}, this release reads {VERSION}; "
             "fit it again"
         )
-    if len(header["levels"]) != header["steps"]:
+    if not 0 < len(header["levels"]) == header["steps"]:
         raise BadField("the field's levels do not match its time schedule")
     numbers = [*header["centre"], header["scale"]]
     if not all(math.isfinite(n) for n in numbers) or header["scale"] <= 0:
@@ -113,32 +120,49 @@ def _check_header(header: dict[str, Any]) -> None:
 
 
 def _surface(tensors: dict[str, Tensor]) -> QuadricSurface:
-    count = len(tensors["origin"])
+    sites = len(tensors["origin"])
     for name, shape in _QUADRICS.items():
-        tensor = tensors[name]
-        if tensor.shape != (count, *shape) or not bool(torch.isfinite(tensor).all()):
+        if not _is_finite_single(tensors[name], (sites, *shape)):
             raise BadField(f"the field's quadrics are damaged: {name}")
-    if count == 0 or tensors["count"].shape != (count,) or bool((tensors["radius"] <= 0).any()):
+    count = tensors["count"]
+    if sites == 0 or count.shape != (sites,) or count.dtype != torch.int64:
         raise BadField("the field's quadrics are damaged: count")
+    if bool((tensors["radius"] <= 0).any()):
+        raise BadField("the field's quadrics are damaged: a radius is not positive")
     return QuadricSurface.of(LocalQuadrics(**tensors))
 
 
 def _level(described: dict[str, Any], coefficients: Tensor, cells: Tensor) -> SplineLevel:
     nx, ny, nz = (int(n) for n in described["shape"])
     spacing = float(described["spacing"])
-    if not (0 < max(nx, ny, nz) <= _MAX_LATTICE and math.isfinite(spacing) and spacing > 0):
-        raise BadField("a level of the field claims an impossible grid")
-    coordinates = cells.long()
-    upper = torch.tensor([nx, ny, nz], device=cells.device) - 1
-    if (
-        cells.ndim != 2
-        or cells.shape[1] != 3
-        or bool(((coordinates < 1) | (coordinates >= upper)).any())
-    ):
-        raise BadField("a level of the field has cells outside its grid")
-    active = SparseLattice.from_distinct(coordinates, (nx, ny, nz))
     origin = torch.tensor(described["origin"], dtype=torch.float32, device=cells.device)
+    if (
+        not all(0 < n <= _MAX_LATTICE for n in (nx, ny, nz))
+        or not (math.isfinite(spacing) and spacing > 0)
+        or not _is_finite_single(origin, (3,))
+    ):
+        raise BadField("a level of the field claims an impossible grid")
+    active = SparseLattice.from_distinct(_checked_cells(cells, (nx, ny, nz)), (nx, ny, nz))
     grid = SplineGrid(origin, spacing, active, active.dilated(1))
-    if coefficients.shape != (len(grid.nodes),) or not bool(torch.isfinite(coefficients).all()):
+    if not _is_finite_single(coefficients, (len(grid.nodes),)):
         raise BadField("a level of the field has the wrong number of coefficients, or bad ones")
     return SplineLevel.of(grid, coefficients)
+
+
+def _checked_cells(cells: Tensor, shape: tuple[int, int, int]) -> Tensor:
+    """The cells as (c, 3) int64, all with a neighbour on every side inside the lattice."""
+    if cells.dtype != torch.int16 or cells.ndim != 2 or cells.shape[1] != 3 or len(cells) == 0:
+        raise BadField("a level of the field has no cells, or damaged ones")
+    coordinates = cells.long()
+    upper = torch.tensor(shape, device=cells.device) - 1
+    if bool(((coordinates < 1) | (coordinates >= upper)).any()):
+        raise BadField("a level of the field has cells outside its grid")
+    return coordinates
+
+
+def _is_finite_single(tensor: Tensor, shape: tuple[int, ...]) -> bool:
+    return (
+        tensor.shape == shape
+        and tensor.dtype == torch.float32
+        and bool(torch.isfinite(tensor).all())
+    )
