@@ -17,11 +17,12 @@ from udflow.cloud.normalisation import Normalisation
 from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.sampled_surface import SampledSurface
 from udflow.config import Config, to_dict
-from udflow.fields.unsigned import UnsignedDistanceField
+from udflow.fields.unsigned import SurfaceField, UnsignedDistanceField
 from udflow.fit.spline import SplineFit, finest_resolution, fit_spline
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
+from udflow.mesh.settling import settled
 from udflow.progress import Progress, Stage
 
 _SITE_PER_VOXEL = 0.5  # detail of the data that a mesh of a given voxel can show
@@ -117,7 +118,7 @@ class _Run:
             self.round += 1
             fit = yield from self._fitted("densifying")
         yield self._progress("extracting", 0, 1)
-        mesh = extract(fit.field, self.samples, self.config.extract)
+        mesh = self._extracted(fit)
         self._clock("extracting")
         yield self._progress("exporting", 0, 1)
         result = self._finished(fit, mesh)
@@ -138,6 +139,12 @@ class _Run:
         self.loss = fit.loss
         self._clock(stage)
         return fit
+
+    def _extracted(self, fit: SplineFit) -> Mesh:
+        field = SurfaceField(fit.field, self._measured_surface().surface)
+        mesh = extract(field, self.samples, self.config.extract)
+        voxel = 1.0 / self.config.extract.resolution
+        return settled(mesh, field, voxel, self.samples.device)
 
     def _surface(self) -> SampledSurface:
         """What the trajectories are drawn to: the measured points and, with quadrics fitted to

@@ -37,12 +37,31 @@ class FieldAnswer:
 
 
 @dataclass(frozen=True)
-class UnsignedDistanceField:
-    """A fitted field that answers in world units.
+class SurfaceField:
+    """Spline and quadrics as one `ProjectiveField` in the unit frame.
 
     Near the surface the spline answers. A smooth energy blurs the places that are equally far
     from two parts of the surface, so farther away the nearest quadric gives the foot and the
     spline refines it.
+    """
+
+    spline: SplineField
+    surface: QuadricSurface
+
+    def project(self, points: Tensor) -> Tensor:
+        """Feet of (n, 3) points."""
+        feet = self.spline.project(points)
+        trusted = _NEAR * self.spline.levels[0].grid.spacing
+        near = self.spline.levels[0].covers(points) & ((feet - points).norm(dim=1) < trusted)
+        far = (~near).nonzero().squeeze(1)
+        if len(far) > 0:
+            feet[far] = self.spline.refine(self.surface.project(points[far]))
+        return feet
+
+
+@dataclass(frozen=True)
+class UnsignedDistanceField:
+    """A fitted field that answers in world units.
 
     Attributes:
         spline: the field in the unit frame.
@@ -53,6 +72,11 @@ class UnsignedDistanceField:
     spline: SplineField
     surface: QuadricSurface
     normalisation: Normalisation
+
+    @property
+    def unit(self) -> SurfaceField:
+        """The same field in the unit frame."""
+        return SurfaceField(self.spline, self.surface)
 
     @property
     def low(self) -> NDArray[np.float64]:
@@ -85,21 +109,12 @@ class UnsignedDistanceField:
         valid: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
         unit = torch.from_numpy(self.normalisation.to_unit(np.clip(points, low, high)))
         with torch.inference_mode():
-            feet = self._feet(unit.to(device)).cpu().numpy()
+            feet = self.unit.project(unit.to(device)).cpu().numpy()
         closest = self.normalisation.to_world(feet)
         offset = points - closest
         distance = np.linalg.norm(offset, axis=1)
         gradient = offset / np.maximum(distance, np.finfo(np.float64).tiny)[:, None]
         return FieldAnswer(distance, gradient.astype(np.float32), closest, valid)
-
-    def _feet(self, points: Tensor) -> Tensor:
-        feet = self.spline.project(points)
-        trusted = _NEAR * self.spline.levels[0].grid.spacing
-        near = self.spline.levels[0].covers(points) & ((feet - points).norm(dim=1) < trusted)
-        far = (~near).nonzero().squeeze(1)
-        if len(far) > 0:
-            feet[far] = self.spline.refine(self.surface.project(points[far]))
-        return feet
 
     def _half_edge(self) -> float:
         grid = self.spline.levels[-1].grid
