@@ -1,0 +1,253 @@
+"""The whole story: cloud in; mesh, field, points and report out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from shapes import Hemisphere, MoebiusStrip, Shape, Sphere, Torus
+
+import udflow
+from udflow.cloud.point_cloud import PointCloud
+from udflow.config import Config, DensifyConfig, ExtractConfig, SplineConfig, to_dict
+from udflow.errors import Diverged, EmptySurface, InvalidCloud
+from udflow.fields.storage import field_to_bytes
+from udflow.progress import STAGES, Progress
+from udflow.reconstruct import Reconstruction, reconstruct, reconstruct_steps
+
+PLAIN = Config(extract=ExtractConfig(resolution=32), densify=DensifyConfig(target_points=0))
+DENSER = replace(PLAIN, densify=DensifyConfig(target_points=1400, points_per_round=400))
+UTM = np.array([512345.5, 5403210.25, 312.0])
+
+
+def cloud_of(shape: Shape, count: int = 1500) -> PointCloud:
+    return PointCloud(shape.sample(count).double().numpy())
+
+
+def boundary_edges(result: Reconstruction) -> int:
+    edges = np.sort(result.mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return int((np.unique(edges, axis=0, return_counts=True)[1] == 1).sum())
+
+
+def distances(shape: Shape, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return shape.distance(torch.from_numpy(points)).numpy()
+
+
+# mean and largest distance of vertices from the surface: what is reached, and half as much again
+SHAPES = [
+    pytest.param(Sphere(), 6e-4, 4e-3, id="sphere"),
+    pytest.param(Torus(), 7e-4, 8e-3, id="torus"),
+    pytest.param(Hemisphere(), 2e-3, 6e-2, id="hemisphere"),
+    pytest.param(MoebiusStrip(), 4e-3, 6e-2, id="moebius"),
+]
+
+
+@pytest.mark.parametrize(("shape", "mean", "largest"), SHAPES)
+def test_the_mesh_lies_on_the_surface_and_covers_it(
+    shape: Shape, mean: float, largest: float
+) -> None:
+    result = reconstruct(cloud_of(shape), PLAIN)
+    error = distances(shape, result.mesh.vertices)
+    assert error.mean() < mean
+    assert error.max() < largest
+    to_vertices, _ = cKDTree(result.mesh.vertices).query(shape.sample(2000, seed=9).numpy())
+    assert to_vertices.max() < 1 / 32
+    assert (boundary_edges(result) == 0) == (shape.loops == 0)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Reconstruction:
+    """A sphere from 500 points, as they are."""
+    return reconstruct(cloud_of(Sphere(), 500), PLAIN)
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[Progress]:
+    """The progress of the fixture `sphere`."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def sphere(steps: list[Progress]) -> Reconstruction:
+    """A coloured sphere of radius 20 m somewhere in UTM zone 32, densified in two rounds."""
+    points = Sphere().sample(700).double().numpy()
+    colors = np.where(points[:, 2:] > 0, [[200, 30, 10]], [[10, 40, 220]]).astype(np.uint8)
+    cloud = PointCloud(40 * points + UTM, colors=colors, warnings=("this one shines",))
+    return reconstruct(cloud, DENSER, on_progress=steps.append)
+
+
+def test_everything_is_in_the_frame_of_the_scan(sphere: Reconstruction) -> None:
+    for points in (sphere.mesh.vertices, sphere.points.points):
+        assert points.dtype == np.float64
+        radius = np.linalg.norm(points - UTM, axis=1)
+        np.testing.assert_allclose(radius, 20, atol=0.2)
+        assert np.abs(radius - 20).mean() < 0.04
+    answer = sphere.field.query(UTM + np.array([[0, 0, 50.0], [0, 5.0, 0]]))
+    np.testing.assert_allclose(answer.distance, [30, 15], atol=0.1)
+    assert sphere.mesh.faces.dtype == np.int64
+
+
+def test_the_answer_does_not_depend_on_the_units(plain: Reconstruction) -> None:
+    """A power of two rounds nothing, so not a bit may change."""
+    large = reconstruct(PointCloud(1024 * Sphere().sample(500).double().numpy()), PLAIN)
+    np.testing.assert_array_equal(1024 * plain.mesh.vertices, large.mesh.vertices)
+    np.testing.assert_array_equal(plain.mesh.faces, large.mesh.faces)
+
+
+def test_colours_are_carried_over(sphere: Reconstruction) -> None:
+    for points, colors in (
+        (sphere.mesh.vertices, sphere.mesh.colors),
+        (sphere.points.points, sphere.points.colors),
+    ):
+        assert colors is not None
+        height = points[:, 2] - UTM[2]
+        assert (colors[height > 4] == [200, 30, 10]).all()
+        assert (colors[height < -4] == [10, 40, 220]).all()
+
+
+def test_without_colours_there_are_none(plain: Reconstruction) -> None:
+    assert plain.mesh.colors is None
+    assert plain.points.colors is None
+
+
+def test_the_points_are_the_measured_ones_and_more(sphere: Reconstruction) -> None:
+    measured = 40 * Sphere().sample(700).double().numpy() + UTM
+    assert len(sphere.points.points) == 1400
+    first = sphere.points.points[:700]
+    order, expected = np.lexsort(first.round(4).T), np.lexsort(measured.round(4).T)
+    np.testing.assert_allclose(first[order], measured[expected], rtol=0, atol=1e-5)
+
+
+def test_progress_never_falls_and_ends_at_one(
+    sphere: Reconstruction, steps: list[Progress]
+) -> None:
+    fractions = [p.fraction for p in steps]
+    assert fractions == sorted(fractions)
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
+    assert len(set(fractions)) > 15
+    assert all(0 <= p.step <= p.total for p in steps)
+    assert [p.elapsed_s for p in steps] == sorted(p.elapsed_s for p in steps)
+    order = [STAGES.index(p.stage) for p in steps]
+    assert order == sorted(order)
+    assert set(order) == set(range(5))
+
+
+def test_progress_tells_rounds_points_and_loss(
+    sphere: Reconstruction, steps: list[Progress]
+) -> None:
+    assert {p.rounds for p in steps} == {2}
+    assert [(p.round, p.points) for p in steps if p.step == 0 and p.stage != "exporting"] == [
+        (0, 700),
+        (1, 1100),
+        (2, 1400),
+        (2, 1400),
+    ]
+    losses = [p.loss for p in steps if p.stage in ("densifying", "extracting")]
+    assert all(loss is not None and 0 < loss < 1e-2 for loss in losses)
+    assert steps[0].loss is None
+
+
+def test_the_report_is_json_and_says_what_was_done(sphere: Reconstruction) -> None:
+    report = json.loads(json.dumps(sphere.report, allow_nan=False))
+    assert report["config"] == to_dict(DENSER)
+    assert report["version"] == udflow.__version__
+    assert report["device"] == "cpu"
+    assert report["points"] == {"input": 700, "unique": 700, "densified": 1400, "rounds": 2}
+    assert report["frame"]["scale"] == pytest.approx(40, rel=0.01)
+    assert report["frame"]["centre"] == pytest.approx(UTM.tolist(), abs=0.2)
+    spacing = 40 * (np.pi / 700) ** 0.5
+    assert report["spacing"] == pytest.approx(spacing, rel=0.15)
+    assert 0 < report["sample_error"] < 0.1 * spacing
+    assert report["mesh"]["vertices"] == len(sphere.mesh.vertices)
+    assert report["mesh"]["faces"] == len(sphere.mesh.faces)
+    assert report["warnings"] == ["this one shines"]
+    assert 0 < report["loss"] < 1e-2
+
+
+def test_the_seconds_add_up(sphere: Reconstruction) -> None:
+    seconds = dict(sphere.report["seconds"])
+    total = seconds.pop("total")
+    assert set(seconds) == {"fitting", "densifying", "extracting", "exporting"}
+    assert sum(seconds.values()) == pytest.approx(total, rel=0.05)
+
+
+def as_bytes(result: Reconstruction) -> list[bytes]:
+    arrays = [result.mesh.vertices, result.mesh.faces, result.points.points]
+    return [*(a.tobytes() for a in arrays), field_to_bytes(result.field)]
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
+    config = replace(PLAIN, densify=DensifyConfig(target_points=500, points_per_round=200))
+    cloud = cloud_of(Torus(), 400)
+    one, two = reconstruct(cloud, config), reconstruct(cloud, config)
+    assert as_bytes(one) == as_bytes(two)
+    other = reconstruct(cloud, replace(config, seed=1))
+    assert one.points.points.tobytes() != other.points.points.tobytes()
+
+
+def test_a_point_measured_twice_counts_once(plain: Reconstruction) -> None:
+    once = cloud_of(Sphere(), 500)
+    twice = PointCloud(np.concatenate([once.points, once.points[::-1]]))
+    two = reconstruct(twice, PLAIN)
+    assert plain.mesh.vertices.tobytes() == two.mesh.vertices.tobytes()
+    assert two.report["points"]["input"] == 1000
+    assert two.report["points"]["unique"] == 500
+
+
+def test_what_the_configuration_says_is_done(plain: Reconstruction) -> None:
+    """Twice the resolution has four times as many vertices on a surface."""
+    config = Config(
+        spline=SplineConfig(resolution=20),
+        extract=ExtractConfig(resolution=64),
+        densify=DensifyConfig(target_points=0),
+    )
+    result = reconstruct(cloud_of(Sphere(), 500), config)
+    assert result.field.spline.levels[0].grid.spacing == pytest.approx(1 / 20)
+    assert result.report["spline_resolution"] == 20
+    assert 3.8 < len(result.mesh.vertices) / len(plain.mesh.vertices) < 4.2
+
+
+def test_it_can_be_left_between_two_steps() -> None:
+    steps = reconstruct_steps(cloud_of(Sphere(), 500), PLAIN)
+    assert next(steps).stage == "reading"
+    assert next(steps).stage == "fitting"
+    steps.close()
+
+
+def test_a_caller_s_stop_goes_through() -> None:
+    def stop(progress: Progress) -> None:
+        if progress.stage == "fitting":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(cloud_of(Sphere(), 500), PLAIN, on_progress=stop)
+
+
+def test_it_leaves_the_caller_s_gradients_alone(plain: Reconstruction) -> None:
+    assert torch.is_grad_enabled()
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_too_few_points_are_refused_before_anything_is_done() -> None:
+    said: list[Progress] = []
+    with pytest.raises(InvalidCloud, match="99 distinct points; a surface needs at least 100"):
+        reconstruct(cloud_of(Sphere(), 99), PLAIN, on_progress=said.append)
+    assert not said
+
+
+def test_a_line_has_no_surface() -> None:
+    line = np.linspace(0, 1, 300)[:, None] * np.array([[1.0, 0, 0]])
+    with pytest.raises(EmptySurface, match="no surface near the 300 points at resolution 32"):
+        reconstruct(PointCloud(line), PLAIN)
+
+
+def test_specks_too_small_for_their_distance_are_refused_in_words() -> None:
+    """Two specks a thousand times their size apart: nothing between them can be computed."""
+    speck = 1e-4 * np.random.default_rng(0).normal(size=(300, 3))
+    with pytest.raises(Diverged, match="differ by many orders of magnitude"):
+        reconstruct(PointCloud(np.concatenate([speck, speck + 1.0])), PLAIN)
