@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from udflow.fields.interface import ProjectiveField
-from udflow.mesh.lattice import Lattice, children, dilated, find, shifted
+from udflow.mesh.lattice import Lattice, children, dilated, find, reversed_links, shifted
 
 CHUNK = 1 << 17  # points per call of the field: bounds its memory, large enough for its speed
 MAX_DILATION = 8
@@ -37,7 +37,7 @@ class Band:
 
 def project_in_chunks(field: ProjectiveField, points: Tensor) -> Tensor:
     """(n, 3) feet of (n, 3) points."""
-    return torch.cat([field.project(part) for part in points.split(CHUNK)])
+    return torch.cat([field.project(part) for part in torch.split(points, CHUNK)])
 
 
 def find_band(
@@ -65,23 +65,42 @@ def find_band(
     return _band(lattice, cells[near], feet[near])
 
 
-def widened(field: ProjectiveField, band: Band, around: Tensor, reach: int, width: float) -> Band:
-    """The band and all vertices within `width` voxels of the surface near some of its vertices.
+@dataclass(frozen=True)
+class Patch:
+    """Part of a band, made wider.
+
+    Attributes:
+        band: the patch.
+        inner: (n,) bool, vertices with all the neighbours that they would have in a whole band.
+        source: (n,) int64 index in the band it was taken from, -1 for added vertices.
+    """
+
+    band: Band
+    inner: Tensor
+    source: Tensor
+
+
+def widened(field: ProjectiveField, band: Band, around: Tensor, reach: int, width: float) -> Patch:
+    """A patch of the band in which vertices within `width` voxels of the surface are added.
 
     Args:
         field: the surface.
-        band: the band to start from.
-        around: (k,) keys of vertices.
-        reach: how many vertices away from them to look.
+        band: the band to take the patch from.
+        around: (k,) sorted keys of vertices.
+        reach: how many vertices away from them to add more.
         width: in voxels.
     """
-    keys = torch.unique(around)
-    for _ in range(reach):
-        keys = dilated(keys)
-    keys = keys[find(band.keys, keys) < 0]
-    near, feet = _near(field, band.lattice, keys, 0, width)
-    merged, order = torch.sort(torch.cat([band.keys, keys[near]]))
-    return _band(band.lattice, merged, torch.cat([band.feet, feet[near]])[order])
+    grown = [around]
+    for _ in range(reach + 3):  # added vertices change normals, and those change flags beyond
+        grown.append(dilated(grown[-1]))
+    place = find(band.keys, grown[-1])
+    old = place[place >= 0]
+    missing = grown[reach][find(band.keys, grown[reach]) < 0]
+    near, feet = _near(field, band.lattice, missing, 0, width)
+    keys, order = torch.sort(torch.cat([band.keys[old], missing[near]]))
+    feet = torch.cat([band.feet[old], feet[near]])[order]
+    source = torch.cat([old, torch.full_like(missing[near], -1)])[order]
+    return Patch(_band(band.lattice, keys, feet), find(grown[reach + 2], keys) >= 0, source)
 
 
 def _near(
@@ -96,7 +115,7 @@ def _near(
 
 def _band(lattice: Lattice, keys: Tensor, feet: Tensor) -> Band:
     ahead = torch.stack([find(keys, shifted(keys, axis, 1)) for axis in range(3)], dim=1)
-    return Band(lattice, keys, feet, ahead, _reversed(ahead))
+    return Band(lattice, keys, feet, ahead, reversed_links(ahead))
 
 
 def _coarsest_level(reach: float, step: float) -> int:
@@ -113,12 +132,3 @@ def _cells_around(samples: Tensor, reach: Tensor, lattice: Lattice, level: int) 
     for ring in range(int(rings.max()), 0, -1):
         cells = dilated(torch.cat([cells, home[rings >= ring]]))
     return cells
-
-
-def _reversed(ahead: Tensor) -> Tensor:
-    """Who has me as its next vertex: (n, 3), -1 for nobody."""
-    behind = torch.full_like(ahead, -1)
-    for axis in range(3):
-        has = (ahead[:, axis] >= 0).nonzero()[:, 0]
-        behind[ahead[has, axis], axis] = has
-    return behind

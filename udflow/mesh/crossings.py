@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from udflow.fields.interface import ProjectiveField
-from udflow.mesh.band import Band, project_in_chunks, widened
+from udflow.mesh.band import Band, Patch, project_in_chunks, widened
 from udflow.mesh.normals import band_normals
-from udflow.mesh.parity import decoded, odd_faces
+from udflow.mesh.parity import Decoder, odd_faces, settled
 
 # Vertices around a doubtful flag that are added to the band, and how far from the surface they
 # may lie, in voxels: normals there are averaged over more and longer displacements.
@@ -68,11 +68,45 @@ def find_crossings(field: ProjectiveField, band: Band) -> Crossings:
         band: the vertices near the surface.
     """
     flags = _flags(band)
-    if bool(flags.doubtful.any()):
-        band = widened(field, band, band.keys[flags.doubtful], DOUBT_REACH, DOUBT_WIDTH)
-        flags = _flags(band)
-    vertex, axis = _consistent(field, band, flags).nonzero().unbind(1)
-    return Crossings(band.keys[vertex], axis, _where(band, flags.height, vertex, axis))
+    crossed = flags.evidence < 0
+    if not bool(flags.doubtful.any()):
+        return _listed(band, flags.height, crossed)
+    doubtful = band.keys[flags.doubtful]
+    patch = widened(field, band, doubtful, DOUBT_REACH, DOUBT_WIDTH)
+    renewed = _with_surroundings(_flags(patch.band), flags, patch)
+    inside = torch.zeros_like(flags.doubtful)
+    inside[patch.source[patch.inner & (patch.source >= 0)]] = True
+    outer = _listed(band, flags.height, crossed & ~_between(inside, band.ahead))
+    decided = _consistent(field, patch.band, renewed) & _between(patch.inner, patch.band.ahead)
+    inner = _listed(patch.band, renewed.height, decided)
+    return Crossings(
+        torch.cat([outer.keys, inner.keys]),
+        torch.cat([outer.axis, inner.axis]),
+        torch.cat([outer.where, inner.where]),
+    )
+
+
+def _between(chosen: Tensor, ahead: Tensor) -> Tensor:
+    """(n, 3) edges with both ends among the chosen vertices."""
+    padded = torch.cat([chosen, chosen.new_zeros(1)])
+    return chosen[:, None] & padded[ahead]
+
+
+def _with_surroundings(renewed: _Flags, whole: _Flags, patch: Patch) -> _Flags:
+    """Flags of a patch, with those of the whole band, as certain, where the patch ends."""
+    outside = ~_between(patch.inner, patch.band.ahead) & (patch.source >= 0)[:, None]
+    certain = torch.where(whole.evidence < 0, -NEVER, NEVER)
+    return _Flags(
+        torch.where(outside, certain[patch.source], renewed.evidence),
+        renewed.bent & ~outside,
+        renewed.doubtful,
+        renewed.height,
+    )
+
+
+def _listed(band: Band, height: Tensor, crossed: Tensor) -> Crossings:
+    vertex, axis = crossed.nonzero().unbind(1)
+    return Crossings(band.keys[vertex], axis, _where(band, height, vertex, axis))
 
 
 def _flags(band: Band) -> _Flags:
@@ -127,14 +161,17 @@ def _consistent(field: ProjectiveField, band: Band, flags: _Flags) -> Tensor:
     evidence = flags.evidence.clone()
     asked = torch.zeros_like(flags.bent)
     question = flags.bent & (evidence < 0)
+    decoder: Decoder | None = None
     for _ in range(QUESTIONS):
         vertex, axis = question.nonzero().unbind(1)
-        if vertex.numel() > 0:
-            evidence[vertex, axis] += _field_evidence(field, band, flags.height, vertex, axis)
+        if decoder is not None and vertex.numel() == 0:
+            break
+        evidence[vertex, axis] += _field_evidence(field, band, flags.height, vertex, axis)
         asked |= question
-        crossed = decoded(band.keys, band.ahead, evidence)
+        decoder = decoder or Decoder(band.keys, band.ahead, evidence)
+        crossed = decoder.flags(evidence)
         question = (crossed != (flags.evidence < 0)) & ~asked
-    return crossed
+    return settled(band.keys, band.ahead, evidence < 0, crossed)
 
 
 def _field_evidence(

@@ -12,18 +12,21 @@ from udflow.config import ExtractConfig
 from udflow.errors import EmptySurface
 from udflow.fields.interface import ProjectiveField
 from udflow.mesh.band import find_band, project_in_chunks
-from udflow.mesh.cleaning import without_dust, without_false_sheets
+from udflow.mesh.cleaning import without_dust
 from udflow.mesh.crossings import find_crossings
+from udflow.mesh.draft import Draft
 from udflow.mesh.dual import DualSurface, dual_surface, triangles
 from udflow.mesh.holes import closed
 from udflow.mesh.lattice import Lattice
 from udflow.mesh.manifold import separated
 from udflow.mesh.mesh import Mesh
-from udflow.mesh.orientation import facing_outwards, oriented
-from udflow.mesh.topology import compacted
+from udflow.mesh.orientation import oriented
+from udflow.mesh.support import SampleSet
+from udflow.mesh.topology import edges_of
 from udflow.mesh.trim import trimmed
 
 BAND_WIDTH = 1.1  # voxels: both ends of a crossed edge lie within 1
+LONGEST_WAY = 0.75  # voxels from the mean crossing to its foot: farther, it was no crossing
 
 
 def extract(field: ProjectiveField, samples: Tensor, config: ExtractConfig) -> Mesh:
@@ -42,44 +45,44 @@ def extract(field: ProjectiveField, samples: Tensor, config: ExtractConfig) -> M
         EmptySurface: no surface near the samples at this resolution.
     """
     lattice = Lattice.around(samples, config.resolution)
-    spacing = _spacing(samples)
-    band = find_band(field, samples, spacing, lattice, BAND_WIDTH)
+    band = find_band(field, samples, _spacing(samples), lattice, BAND_WIDTH)
     surface = dual_surface(lattice, find_crossings(field, band))
-    mesh = _on_surface(field, surface, lattice.step)
-    if len(mesh.faces) > 0:
-        mesh = _finished(field, mesh, samples, float(spacing.median()), lattice.step)
-    if len(mesh.faces) == 0:
+    draft = _on_surface(field, surface, lattice.step)
+    if len(draft.faces) > 0:
+        draft = _finished(field, draft, samples, lattice.step)
+    if len(draft.faces) == 0:
         raise EmptySurface(
             f"The field has no surface near the {samples.shape[0]} points at resolution "
             f"{config.resolution}. Raise the resolution, or fit the field again with more points."
         )
-    return mesh
+    return Mesh(draft.vertices, draft.faces)
 
 
-def _on_surface(field: ProjectiveField, surface: DualSurface, voxel: float) -> Mesh:
-    vertices = project_in_chunks(field, surface.vertices)
-    moved = torch.linalg.vector_norm(vertices - surface.vertices, dim=1)
-    faces = triangles(vertices, surface.quads)
-    mesh = Mesh(vertices.double().cpu().numpy(), faces.cpu().numpy())
-    return without_false_sheets(mesh, moved.double().cpu().numpy(), voxel)
+def _on_surface(field: ProjectiveField, surface: DualSurface, voxel: float) -> Draft:
+    """Oriented triangles whose vertices are moved onto the surface, without false sheets: parts
+    whose vertices were nowhere near it."""
+    feet = project_in_chunks(field, surface.vertices)
+    astray = torch.linalg.vector_norm(feet - surface.vertices, dim=1) > LONGEST_WAY * voxel
+    kept = surface.quads[~astray[surface.quads].any(dim=1)].cpu().numpy()
+    vertices = feet.double().cpu().numpy()
+    edges = edges_of(kept)
+    loose = np.zeros(len(vertices), dtype=bool)
+    loose[edges.ends[edges.count != 2]] = True
+    quads = torch.from_numpy(oriented(vertices, kept, edges)).to(feet.device)
+    return Draft(vertices, triangles(feet, quads).cpu().numpy(), loose).compacted()
 
 
-def _finished(
-    field: ProjectiveField, mesh: Mesh, samples: Tensor, spacing: float, voxel: float
-) -> Mesh:
-    """Without what the samples do not support, whole and oriented."""
+def _finished(field: ProjectiveField, draft: Draft, samples: Tensor, voxel: float) -> Draft:
+    """Only what the samples support, and that whole."""
 
     def project(points: NDArray[np.float64]) -> NDArray[np.float64]:
         feet = project_in_chunks(field, torch.from_numpy(points).to(samples))
         return np.asarray(feet.double().cpu().numpy())
 
-    data = samples.double().cpu().numpy()
-    mesh = oriented(mesh)
-    mesh = trimmed(mesh, data, voxel)
-    mesh = without_dust(mesh, data, max(spacing, voxel))
-    mesh = separated(mesh)
-    mesh = closed(mesh, data, voxel, project)
-    return facing_outwards(compacted(mesh))
+    data = SampleSet.of(samples.double().cpu().numpy(), voxel)
+    draft = trimmed(draft, data, project)
+    draft = without_dust(draft, data, voxel)
+    return closed(separated(draft), data, project)
 
 
 def _spacing(samples: Tensor) -> Tensor:

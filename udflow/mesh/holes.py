@@ -2,58 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from udflow.mesh.mesh import Mesh
-from udflow.mesh.support import support
-from udflow.mesh.topology import edges_of, parts, side_ends, vertex_normals
+from udflow.mesh.draft import Draft, Project
+from udflow.mesh.support import SampleSet, support_at
+from udflow.mesh.topology import parts, side_ends
 
 ALWAYS = 8  # edges of a loop that is smaller than any hole the samples could show
 LARGEST = 64  # edges of a loop that may be closed where the data goes on around it
 DATA_GOES_ON = -0.4  # mean overshoot on such a loop, in spacings
 _FAN = 10  # vertices around one centre at most; longer loops get rings first
 
-Project = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-
-def closed(mesh: Mesh, samples: NDArray[np.float64], voxel: float, project: Project) -> Mesh:
+def closed(draft: Draft, samples: SampleSet, project: Project) -> Draft:
     """The mesh with small loops closed, and longer ones where the data goes on around them.
 
     Args:
-        mesh: oriented triangles.
-        samples: (m, 3) the data.
-        voxel: samples nearer to each other than this are taken as one.
+        draft: oriented triangles.
+        samples: the data.
         project: moves (n, 3) new vertices onto the surface.
     """
-    loops = [loop for loop in border_loops(mesh.faces) if len(loop) <= LARGEST]
+    loops = [loop for loop in border_loops(draft) if len(loop) <= LARGEST]
     if not loops:
-        return mesh
-    chosen = _failures(mesh, loops, samples, voxel)
+        return draft
+    chosen = _failures(draft, loops, samples)
     if not chosen:
-        return mesh
+        return draft
     points: list[NDArray[np.float64]] = []
     faces: list[NDArray[np.int64]] = []
-    count = len(mesh.vertices)
+    count = len(draft.vertices)
     for loop in chosen:
-        new_points, new_faces = _patch(mesh.vertices[loop], loop, count)
+        new_points, new_faces = _patch(draft.vertices[loop], loop, count)
         points.append(new_points)
         faces.append(new_faces)
         count += len(new_points)
     added = np.concatenate(points)
-    return Mesh(
-        np.concatenate([mesh.vertices, project(added) if len(added) else added]),
-        np.concatenate([mesh.faces, *faces]),
-    )
+    added = project(added) if len(added) > 0 else added
+    return draft.replaced(added, np.concatenate([draft.faces, *faces]))
 
 
-def border_loops(faces: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def border_loops(draft: Draft) -> list[NDArray[np.int64]]:
     """Closed borders as vertices in the order of the missing faces; only loops that pass every
     vertex once."""
-    sides = edges_of(faces).sides_where(1)[:, 0]
-    end, start = side_ends(faces, sides)  # a missing face runs against its neighbour
+    sides = draft.loose_edges().sides_where(1)[:, 0]
+    end, start = side_ends(draft.faces, sides)  # a missing face runs against its neighbour
     used, flat = np.unique(np.stack([start, end]), return_inverse=True)
     start, end = flat.reshape(2, -1)
     simple = (np.bincount(start, minlength=len(used)) == 1) & (
@@ -80,11 +73,10 @@ def _walk(following: NDArray[np.int64], first: int, count: int) -> NDArray[np.in
 
 
 def _failures(
-    mesh: Mesh, loops: list[NDArray[np.int64]], samples: NDArray[np.float64], voxel: float
+    draft: Draft, loops: list[NDArray[np.int64]], samples: SampleSet
 ) -> list[NDArray[np.int64]]:
     vertices = np.concatenate(loops)
-    normals = vertex_normals(mesh)[vertices]
-    found = support(mesh.vertices[vertices], normals, samples, voxel).overshoot
+    found = support_at(samples, draft.vertices, draft.faces, vertices).overshoot
     means = [part.mean() for part in np.split(found, np.cumsum([len(p) for p in loops])[:-1])]
     return [
         loop

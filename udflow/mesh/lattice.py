@@ -95,6 +95,15 @@ def dilated(keys: Tensor) -> Tensor:
     return keys
 
 
+def reversed_links(ahead: Tensor) -> Tensor:
+    """(n, 3) index of the previous vertex along each axis, from that of the next; -1 for none."""
+    behind = torch.full_like(ahead, -1)
+    for axis in range(3):
+        has = (ahead[:, axis] >= 0).nonzero()[:, 0]
+        behind[ahead[has, axis], axis] = has
+    return behind
+
+
 def _spread(value: Tensor) -> Tensor:
     """Bits b of a 12-bit number to bits 3b."""
     value = (value | (value << 16)) & 0x0000_00FF_0000_FF

@@ -5,61 +5,63 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from udflow.mesh.mesh import Mesh
-from udflow.mesh.topology import edges_of, parts, side_ends
+from udflow.mesh.draft import Draft
+from udflow.mesh.topology import parts, side_ends
 
 _ROUNDS = 4
 
 
-def separated(mesh: Mesh) -> Mesh:
+def separated(draft: Draft) -> Draft:
     """The mesh with touching sheets taken apart.
 
     Edges with four faces are the touch of two sheets: one of them gets the edge's middle as a
     vertex of its own. Border vertices at which several fans of faces meet are doubled. Edges with
     three faces, true junctions, are left.
     """
+    if not draft.loose.any():
+        return draft
     for _ in range(_ROUNDS):
-        divided = _with_touching_edges_apart(mesh)
-        if divided is mesh:
+        divided = _with_touching_edges_apart(draft)
+        if divided is draft:
             break
-        mesh = divided
-    return _with_fans_apart(mesh)
+        draft = divided
+    return _with_fans_apart(draft)
 
 
-def _with_touching_edges_apart(mesh: Mesh) -> Mesh:
-    sides = edges_of(mesh.faces).sides_where(4)
+def _with_touching_edges_apart(draft: Draft) -> Draft:
+    sides = draft.loose_edges().sides_where(4)
     if len(sides) == 0:
-        return mesh
+        return draft
     # a face may lie at two such edges: one now, the other in the next round
     face = sides // 3
-    owner = np.full(len(mesh.faces), len(sides))
+    owner = np.full(len(draft.faces), len(sides))
     np.minimum.at(owner, face.reshape(-1), np.repeat(np.arange(len(sides)), 4))
     sides = sides[(owner[face] == np.arange(len(sides))[:, None]).all(axis=1)]
-    pair = _second_sheet(mesh, sides)
-    start, end = side_ends(mesh.faces, pair)
-    opposite = _opposite(mesh.faces, pair)
-    ends = 0.5 * (mesh.vertices[start[:, 0]] + mesh.vertices[end[:, 0]])
-    middle = 0.98 * ends + 0.02 * mesh.vertices[opposite].mean(axis=1)
-    number = (len(mesh.vertices) + np.arange(len(pair)))[:, None].repeat(2, axis=1)
-    faces = mesh.faces.copy()
+    pair = _second_sheet(draft, sides)
+    start, end = side_ends(draft.faces, pair)
+    opposite = _opposite(draft.faces, pair)
+    ends = 0.5 * (draft.vertices[start[:, 0]] + draft.vertices[end[:, 0]])
+    middle = 0.98 * ends + 0.02 * draft.vertices[opposite].mean(axis=1)
+    number = (len(draft.vertices) + np.arange(len(pair)))[:, None].repeat(2, axis=1)
+    faces = draft.faces.copy()
     faces[pair // 3] = np.stack([start, number, opposite], axis=2)
     added = np.stack([number, end, opposite], axis=2).reshape(-1, 3)
-    return Mesh(np.concatenate([mesh.vertices, middle]), np.concatenate([faces, added]))
+    return draft.replaced(middle, np.concatenate([faces, added]))
 
 
-def _second_sheet(mesh: Mesh, sides: NDArray[np.int64]) -> NDArray[np.int64]:
+def _second_sheet(draft: Draft, sides: NDArray[np.int64]) -> NDArray[np.int64]:
     """(k, 2) sides of one of the two sheets at edges with (k, 4) sides.
 
     Around the edge the sheets are neighbours in angle; of the two such pairings the one whose
     faces agree in orientation is taken, and if both do, the flatter one.
     """
-    start, end = side_ends(mesh.faces, sides)
+    start, end = side_ends(draft.faces, sides)
     forward = start < end
     low, high = np.minimum(start, end)[:, 0], np.maximum(start, end)[:, 0]
-    origin = mesh.vertices[low]
-    axis = mesh.vertices[high] - origin
+    origin = draft.vertices[low]
+    axis = draft.vertices[high] - origin
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-30)
-    arm = mesh.vertices[_opposite(mesh.faces, sides)] - origin[:, None]
+    arm = draft.vertices[_opposite(draft.faces, sides)] - origin[:, None]
     arm -= np.einsum("kij,kj->ki", arm, axis)[..., None] * axis[:, None]
     across = np.cross(axis, arm[:, 0])
     angle = np.arctan2(
@@ -82,29 +84,29 @@ def _opposite(faces: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.
     return faces.reshape(-1)[sides - sides % 3 + (sides + 2) % 3]
 
 
-def _with_fans_apart(mesh: Mesh) -> Mesh:
-    edges = edges_of(mesh.faces)
-    at_border = np.zeros(len(mesh.vertices), dtype=bool)
+def _with_fans_apart(draft: Draft) -> Draft:
+    edges = draft.loose_edges()
+    at_border = np.zeros(len(draft.vertices), dtype=bool)
     at_border[edges.ends[edges.count == 1]] = True
-    corner = np.flatnonzero(at_border[mesh.faces.reshape(-1)])
-    place = np.full(mesh.faces.size, -1)
+    corner = np.flatnonzero(at_border[draft.faces.reshape(-1)])
+    place = np.full(draft.faces.size, -1)
     place[corner] = np.arange(len(corner))
     inner = np.repeat(edges.count > 1, edges.count)
     leader = np.repeat(edges.sides[edges.first[:-1]], edges.count)[inner]
-    pairs = _corners_joined(mesh.faces, leader, edges.sides[inner])
+    pairs = _corners_joined(draft.faces, leader, edges.sides[inner])
     pairs = place[pairs]
     fan = parts(pairs[(pairs >= 0).all(axis=1)], len(corner))
-    vertex = mesh.faces.reshape(-1)[corner]
+    vertex = draft.faces.reshape(-1)[corner]
     # the first fan of a vertex keeps it, the others get copies
     fans, first = np.unique(fan, return_index=True)
     owner = vertex[first]
     order = np.lexsort((fans, owner))
     again = np.zeros(len(fans), dtype=bool)
     again[order[1:]] = owner[order[1:]] == owner[order[:-1]]
-    number = np.where(again, len(mesh.vertices) + np.cumsum(again) - 1, owner)
-    faces = mesh.faces.copy().reshape(-1)
+    number = np.where(again, len(draft.vertices) + np.cumsum(again) - 1, owner)
+    faces = draft.faces.copy().reshape(-1)
     faces[corner] = number[fan]
-    return Mesh(np.concatenate([mesh.vertices, mesh.vertices[owner[again]]]), faces.reshape(-1, 3))
+    return draft.replaced(draft.vertices[owner[again]], faces.reshape(-1, 3))
 
 
 def _corners_joined(

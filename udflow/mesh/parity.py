@@ -11,17 +11,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from udflow.mesh.lattice import dilated, find, shifted
+from udflow.mesh.lattice import dilated, find, reversed_links, shifted
+from udflow.mesh.topology import parts
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 REACH = 3  # vertices around an odd face that take part
-ITERATIONS = 80
-PATIENCE = 20  # iterations without fewer odd faces before giving up: a true border stays odd
+ITERATIONS = 120
+PATIENCE = 30  # iterations without fewer odd faces before giving up: a true border stays odd
 LIMIT = 12.0  # most that one face can say
 DAMPING = 0.2
+SUCCESS = 0.5  # share of its odd faces that a region may keep
+PLAIN_REPAIRS = 6
 _ABSENT = 30.0  # evidence for "not crossed" where an edge leaves the band
 
 
@@ -40,36 +44,121 @@ def odd_faces(flags: Tensor, ahead: Tensor) -> Tensor:
     return torch.stack(columns, dim=1)
 
 
-def decoded(keys: Tensor, ahead: Tensor, evidence: Tensor) -> Tensor:
-    """Flags (n, 3) with as many even faces as the evidence allows.
+class Decoder:
+    """Message passing on the faces near contradictions; it can go on after evidence changed."""
+
+    def __init__(self, keys: Tensor, ahead: Tensor, evidence: Tensor) -> None:
+        """Takes the vertices around the odd faces of the flags that the evidence suggests.
+
+        Args:
+            keys: (n,) sorted lattice vertices.
+            ahead: (n, 3) index of the next vertex along each axis, -1 where there is none.
+            evidence: (n, 3) log-likelihood ratio of "not crossed" against "crossed".
+        """
+        odd = odd_faces((evidence < 0) & (ahead >= 0), ahead).any(dim=1)
+        patch_keys = keys[odd]
+        for _ in range(REACH):
+            patch_keys = dilated(patch_keys)
+        patch_keys = _with_edges(keys, patch_keys)
+        source = find(keys, patch_keys)
+        self._ahead = ahead
+        self._member = (source >= 0).nonzero()[:, 0]
+        self._source = source[self._member]
+        self._patch = _Patch.of(patch_keys)
+        self._messages = [evidence.new_zeros(4, len(patch_keys) + 1) for _ in PLANES]
+
+    def flags(self, evidence: Tensor) -> Tensor:
+        """(n, 3) crossed edges with as many even faces as the evidence allows."""
+        flags = (evidence < 0) & (self._ahead >= 0)
+        if len(self._source) == 0:
+            return flags
+        exists = self._ahead[self._source] >= 0
+        local = evidence.new_full((self._patch.count, 3), _ABSENT)
+        local[self._member] = torch.where(exists, evidence[self._source], _ABSENT)
+        decided = _decode(self._patch, local, self._messages)
+        flags[self._source] = decided[self._member] & exists
+        return flags
+
+
+def settled(keys: Tensor, ahead: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """Flags (n, 3) after decoding, but as they were before around true borders.
+
+    There decoding cannot succeed: it only crumples the border on its way to the end of the band.
+    Each connected region of changes and odd faces is taken only if most of its odd faces became
+    even; the others get the plain repair, which leaves borders alone.
 
     Args:
         keys: (n,) sorted lattice vertices.
         ahead: (n, 3) index of the next vertex along each axis, -1 where there is none.
-        evidence: (n, 3) log-likelihood ratio of "not crossed" against "crossed".
+        before, after: (n, 3) flags.
     """
-    flags = (evidence < 0) & (ahead >= 0)
-    odd = odd_faces(flags, ahead).any(dim=1)
-    if not bool(odd.any()):
-        return flags
-    patch_keys = keys[odd]
-    for _ in range(REACH):
-        patch_keys = dilated(patch_keys)
-    source = find(keys, patch_keys)
-    member = (source >= 0).nonzero()[:, 0]
-    source = source[member]
-    local = torch.full((len(patch_keys), 3), _ABSENT, device=keys.device)
-    local[member] = torch.where(ahead[source] >= 0, evidence[source], _ABSENT)
-    flags[source] = _decode(_Patch.of(patch_keys), local)[member] & (ahead[source] >= 0)
+    odd_before = odd_faces(before, ahead).sum(dim=1)
+    odd_after = odd_faces(after, ahead).sum(dim=1)
+    changed = (before != after).any(dim=1)
+    member = ((odd_before > 0) | (odd_after > 0) | changed).nonzero()[:, 0]
+    if len(member) == 0:
+        return after
+    region = _regions(keys[member])
+    count = int(region.max()) + 1
+    was = torch.bincount(region, odd_before[member].float(), count)
+    became = torch.bincount(region, odd_after[member].float(), count)
+    failed = member[(became > SUCCESS * was)[region]]
+    flags = after.clone()
+    flags[failed] = before[failed]
+    return _plainly_repaired(flags, ahead)
+
+
+def _regions(keys: Tensor) -> Tensor:
+    """(k,) number of the connected region of each of k sorted vertices, where vertices up to two
+    apart along every axis are connected."""
+    near = dilated(keys)
+    place = torch.arange(len(near), device=keys.device)
+    pairs = []
+    for axis in range(3):
+        following = find(near, shifted(near, axis, 1))
+        pairs.append(torch.stack([place, following], dim=1)[following >= 0])
+    label = parts(torch.cat(pairs).cpu().numpy(), len(near))
+    label_of_keys = label[find(near, keys).cpu().numpy()]
+    number = np.unique(label_of_keys, return_inverse=True)[1].reshape(-1)
+    return torch.from_numpy(number).to(keys.device)
+
+
+def _plainly_repaired(flags: Tensor, ahead: Tensor) -> Tensor:
+    """Flags (n, 3) after flipping edges at which three or all four faces are odd.
+
+    One wrong flag makes its four faces odd; a true border makes at most two odd at an edge.
+    """
+    behind = reversed_links(ahead)
+    for _ in range(PLAIN_REPAIRS):
+        odd = odd_faces(flags, ahead).to(torch.int8)
+        padded = torch.cat([odd, odd.new_zeros(1, 3)])
+        count = torch.zeros_like(odd)
+        for plane, (p, q) in enumerate(PLANES):
+            count[:, p] += odd[:, plane] + padded[behind[:, q], plane]
+            count[:, q] += odd[:, plane] + padded[behind[:, p], plane]
+        wrong = (count >= 3) & (ahead >= 0)
+        if not bool(wrong.any()):
+            break
+        flags = flags ^ wrong
     return flags
+
+
+def _with_edges(keys: Tensor, candidates: Tensor) -> Tensor:
+    """Those candidates that are vertices or lie right before one: only their faces matter."""
+    matters = find(keys, candidates) >= 0
+    for axis in range(3):
+        matters |= find(keys, shifted(candidates, axis, 1)) >= 0
+    return candidates[matters]
 
 
 @dataclass(frozen=True)
 class _Patch:
-    """Neighbours inside a set of m vertices; m itself stands for an absent vertex."""
+    """Neighbours inside a set of `count` vertices; `count` itself stands for an absent vertex."""
 
+    count: int
     ahead: tuple[Tensor, ...]
     behind: tuple[Tensor, ...]
+    complete: tuple[Tensor, ...]
 
     @classmethod
     def of(cls, keys: Tensor) -> _Patch:
@@ -80,19 +169,17 @@ class _Patch:
             for by, indices in ((1, ahead), (-1, behind)):
                 place = find(keys, shifted(keys, axis, by))
                 indices.append(torch.where(place < 0, count, place))
-        return cls(tuple(ahead), tuple(behind))
+        complete = tuple((ahead[p] < count) & (ahead[q] < count) for p, q in PLANES)
+        return cls(count, tuple(ahead), tuple(behind), complete)
 
 
-def _decode(patch: _Patch, evidence: Tensor) -> Tensor:
+def _decode(patch: _Patch, evidence: Tensor, messages: list[Tensor]) -> Tensor:
     """(m, 3) flags after message passing; evidence (m, 3) is negative for "crossed"."""
-    count = len(evidence)
     own = [torch.cat([column, column.new_full((1,), _ABSENT)]) for column in evidence.unbind(1)]
-    complete = [(patch.ahead[p] < count) & (patch.ahead[q] < count) for p, q in PLANES]
-    messages = [evidence.new_zeros(4, count + 1) for _ in PLANES]
-    best, fewest, since = evidence < 0, count * 3 + 1, 0
+    best, fewest, since = evidence < 0, 3 * patch.count + 1, 0
     for _ in range(ITERATIONS):
         belief = _belief(patch, own, messages)
-        odd = _count_odd(patch, belief, complete)
+        odd = _count_odd(patch, belief)
         since += 1
         if odd < fewest:
             best, fewest, since = torch.stack([b[:-1] < 0 for b in belief], dim=1), odd, 0
@@ -100,7 +187,7 @@ def _decode(patch: _Patch, evidence: Tensor) -> Tensor:
             break
         for plane, (p, q) in enumerate(PLANES):
             heard = _at_corners(patch, belief, p, q) - messages[plane][:, :-1]
-            said = _check(heard) * complete[plane]
+            said = _check(heard) * patch.complete[plane]
             messages[plane][:, :-1].mul_(DAMPING).add_(said, alpha=1 - DAMPING)
     return best
 
@@ -131,10 +218,11 @@ def _check(heard: Tensor) -> Tensor:
     return sure * (sign.prod(dim=0) * sign)
 
 
-def _count_odd(patch: _Patch, belief: list[Tensor], complete: list[Tensor]) -> int:
+def _count_odd(patch: _Patch, belief: list[Tensor]) -> int:
+    negative = [values < 0 for values in belief]
     total = 0
-    for (p, q), whole in zip(PLANES, complete, strict=True):
-        negative = _at_corners(patch, belief, p, q) < 0
-        odd = negative[0] ^ negative[1] ^ negative[2] ^ negative[3]
+    for (p, q), whole in zip(PLANES, patch.complete, strict=True):
+        odd = negative[p][:-1] ^ negative[q][:-1]
+        odd ^= negative[q][patch.ahead[p]] ^ negative[p][patch.ahead[q]]
         total += int((odd & whole).sum())
     return total

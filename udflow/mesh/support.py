@@ -14,15 +14,41 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from udflow.mesh.topology import face_normals, vertex_normals
+
 NEIGHBOURS = (8, 16, 24)
 # Overshoot that counts as the end of the data for each number of neighbours: few neighbours see
 # narrow holes but are noisy, many place a rim well.
 ALLOWED = (0.6, 0.3, 0.05)
 ALLOWED_GAP = 1.6  # spacings to the nearest sample: inside a hole samples lie on all sides
-_COARSE = 0.7  # spacings a side: clusters of vertices that are looked at together at first
-_SAFE = -0.9  # overshoot of one vertex below which its cluster is surely supported
+_COARSE = 1.0  # spacings a side: clusters of vertices that are looked at together at first
+_SAFE = -0.8  # overshoot of one vertex below which its cluster is surely supported
 
 Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SampleSet:
+    """The data, with a tree for look-ups.
+
+    Attributes:
+        points: (m, 3) float64 samples, no two in one voxel, which evens out their density.
+        tree: over these points.
+        spacing: median distance of neighbouring points.
+    """
+
+    points: Points
+    tree: cKDTree
+    spacing: float
+
+    @classmethod
+    def of(cls, samples: Points, voxel: float) -> SampleSet:
+        """The set of (n, 3) samples, one for each occupied cube as wide as a voxel."""
+        points = samples[_first_of_cluster(samples, voxel)[0]]
+        tree = cKDTree(points)
+        count = min(9, len(points))
+        radius = tree.query(points[:: max(1, len(points) // 2000)], k=[count])[0]
+        return cls(points, tree, float(np.median(radius) * np.sqrt(np.pi / count)))
 
 
 @dataclass(frozen=True)
@@ -39,28 +65,42 @@ class Support:
     spacing: Points
 
 
-def support(vertices: Points, normals: Points, samples: Points, voxel: float) -> Support:
-    """How vertices lie with respect to the samples.
+def support(samples: SampleSet, vertices: Points, faces: NDArray[np.int64]) -> Support:
+    """How the vertices of oriented triangles lie with respect to the samples.
 
     Args:
+        samples: the data.
         vertices: (v, 3) points of the surface.
-        normals: (v, 3) unit normals of any sign; only distances along the surface count.
-        samples: (m, 3) the data.
-        voxel: samples nearer to each other than this are taken as one, which evens out their
-            density.
+        faces: (f, 3) triangles; normals decide what counts as distance along the surface.
 
     Vertices well inside the data are not measured one by one; they get the value of a neighbour.
     """
-    thinned = samples[_first_of_cluster(samples, voxel)[0]]
-    tree = cKDTree(thinned)
-    width = _COARSE * _spacing(tree, thinned)
-    leader, cluster = _first_of_cluster(vertices, width)
-    rough = _measured(tree, vertices[leader], normals[leader], NEIGHBOURS[1:2], (0.0,))
+    leader, cluster = _first_of_cluster(vertices, _COARSE * samples.spacing)
+    any_face = np.zeros(len(vertices), dtype=np.int64)
+    any_face[faces] = np.arange(len(faces))[:, None]
+    normals = _unit(face_normals(vertices, faces[any_face[leader]]))
+    rough = _measured(samples.tree, vertices[leader], normals, NEIGHBOURS[1:2], (0.0,))
+
     beyond, local = rough.overshoot[cluster], np.zeros(len(vertices))
     close = np.flatnonzero(beyond > _SAFE)
-    fine = _measured(tree, vertices[close], normals[close], NEIGHBOURS, ALLOWED)
+    fine = support_at(samples, vertices, faces, close)
     beyond[close], local[close] = fine.overshoot, fine.spacing
     return Support(beyond, local)
+
+
+def support_at(
+    samples: SampleSet, vertices: Points, faces: NDArray[np.int64], chosen: NDArray[np.int64]
+) -> Support:
+    """`support` of (n,) chosen vertices alone, each measured by itself."""
+    around = np.zeros(len(vertices), dtype=bool)
+    around[chosen] = True
+    normals = vertex_normals(vertices, faces[around[faces].any(axis=1)])[chosen]
+    return _measured(samples.tree, vertices[chosen], normals, NEIGHBOURS, ALLOWED)
+
+
+def _unit(vectors: Points) -> Points:
+    unit: Points = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
+    return unit
 
 
 def _measured(
@@ -86,14 +126,6 @@ def _measured(
         beyond = -np.einsum("nki,ni->nk", near, away).max(axis=1)
         np.maximum(result, beyond / spacing - limit, out=result)
     return Support(result, spacing)
-
-
-def _spacing(tree: cKDTree, points: Points) -> float:
-    """Median distance of neighbouring points, from a few of them."""
-    some = points[:: max(1, len(points) // 2000)]
-    count = min(9, tree.n)
-    radius = tree.query(some, k=[count])[0]
-    return float(np.median(radius) * np.sqrt(np.pi / count))
 
 
 def _first_of_cluster(points: Points, width: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

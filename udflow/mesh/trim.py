@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from udflow.mesh.mesh import Mesh
-from udflow.mesh.support import Support, support
-from udflow.mesh.topology import compacted, edges_of, parts, side_pairs, vertex_normals
+from udflow.mesh.draft import Draft, Project
+from udflow.mesh.support import SampleSet, Support, support
+from udflow.mesh.topology import face_normals, parts, side_pairs
 
 SEED = 0.25  # spacings beyond the data that a region must reach to be cut
 SMALLEST_HOLE = 3.0  # squared spacings: smaller gaps inside a surface are chance, not holes
@@ -17,51 +19,50 @@ _NEAR = -1.0  # overshoot above which faces take part
 _SNAP = 0.25  # a cut nearer to a vertex than this part of an edge moves the vertex instead
 
 
-def trimmed(mesh: Mesh, samples: NDArray[np.float64], voxel: float) -> Mesh:
+def trimmed(draft: Draft, samples: SampleSet, project: Project) -> Draft:
     """The mesh without what lies beyond the data.
 
     Regions beyond the data are cut off if they reach the border of the mesh or are large enough
     to be a hole; islands of chance on closed surfaces stay.
 
     Args:
-        mesh: triangles.
-        samples: (m, 3) the data.
-        voxel: samples nearer to each other than this are taken as one.
+        draft: oriented triangles.
+        samples: the data.
+        project: moves (n, 3) points onto the surface; cut vertices lie on chords of it.
     """
-    found = support(mesh.vertices, vertex_normals(mesh), samples, voxel)
-    if not (found.overshoot > 0).any():
-        return mesh
-    near = mesh.faces[(found.overshoot[mesh.faces] > _NEAR).any(axis=1)]
-    beyond = _without_islands(mesh.vertices, near, found)
-    return compacted(cut(mesh, _smoothed(near, beyond)))
+    found = support(samples, draft.vertices, draft.faces)
+    near = draft.faces[(found.overshoot > _NEAR)[draft.faces].any(axis=1)]
+    beyond = _without_islands(draft, near, found)
+    if not (beyond > 0).any():
+        return draft
+    draft, moved = cut(draft, _smoothed(near, beyond))
+    vertices = draft.vertices.copy()
+    vertices[moved] = project(vertices[moved])
+    return replace(draft, vertices=vertices)
 
 
-def _without_islands(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], found: Support
-) -> NDArray[np.float64]:
-    """The overshoot, lowered on the regions that shall stay."""
+def _without_islands(draft: Draft, faces: NDArray[np.int64], found: Support) -> NDArray[np.float64]:
+    """The overshoot, lowered on the regions that shall stay.
+
+    Args:
+        draft: the mesh.
+        faces: those of its faces that may take part in a region.
+        found: overshoot and spacing at the vertices.
+    """
     beyond = found.overshoot.copy()
     inside = np.flatnonzero(beyond > 0)
-    edges = edges_of(faces)
-    both = (beyond[edges.ends] > 0).all(axis=1)
-    region = parts(edges.ends[both], len(beyond))
-    count = len(beyond)
-
+    pairs = side_pairs(faces)
+    region = parts(pairs[(beyond[pairs] > 0).all(axis=1)], len(beyond))[inside]
+    count = int(region.max(initial=-1)) + 1
     at_border = np.zeros(count, dtype=bool)
-    at_border[region[edges.ends[edges.count == 1]].reshape(-1)] = True
+    at_border[region[draft.loose[inside]]] = True
     peak = np.full(count, -np.inf)
-    np.maximum.at(peak, region[inside], beyond[inside])
-    corner = vertices[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.bincount(
-        faces.reshape(-1), np.repeat(np.linalg.norm(normal, axis=1) / 6, 3), minlength=count
-    )
-    share = area[inside] / np.maximum(found.spacing[inside], 1e-12) ** 2
-    size = np.bincount(region[inside], share, minlength=count)
-
+    np.maximum.at(peak, region, beyond[inside])
+    sixth = np.repeat(np.linalg.norm(face_normals(draft.vertices, faces), axis=1) / 6, 3)
+    area = np.bincount(faces.reshape(-1), sixth, minlength=len(beyond))[inside]
+    size = np.bincount(region, area / np.maximum(found.spacing[inside], 1e-12) ** 2, count)
     goes = (peak > SEED) & (at_border | (size > SMALLEST_HOLE))
-    stays = inside[~goes[region[inside]]]
-    beyond[stays] = _KEPT
+    beyond[inside[~goes[region]]] = _KEPT
     return beyond
 
 
@@ -81,26 +82,32 @@ def _smoothed(faces: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[
     return result
 
 
-def cut(mesh: Mesh, level: NDArray[np.float64]) -> Mesh:
-    """The part of a mesh where a function on its vertices is below 0, cut along its contour.
+def cut(draft: Draft, level: NDArray[np.float64]) -> tuple[Draft, NDArray[np.int64]]:
+    """The part of a mesh where a function on its vertices is below 0, cut along its contour, and
+    the vertices on that contour.
 
     Args:
-        mesh: triangles.
+        draft: triangles.
         level: (v,) values, linear inside triangles.
     """
-    vertices, level = _snapped(mesh, level)
-    sign = np.sign(level[mesh.faces]).astype(np.int64)
+    vertices, level = _snapped(draft, level)
+    sign = np.sign(level[draft.faces]).astype(np.int64)
     whole = (sign <= 0).all(axis=1) & (sign < 0).any(axis=1)
     split = (sign > 0).any(axis=1) & (sign < 0).any(axis=1)
-    points, pieces = _pieces(vertices, level, mesh.faces[split])
-    return Mesh(np.concatenate([vertices, points]), np.concatenate([mesh.faces[whole], pieces]))
+    points, pieces = _pieces(vertices, level, draft.faces[split])
+    rim = np.concatenate([level == 0, np.ones(len(points), dtype=bool)])
+    kept = np.concatenate([draft.faces[whole], pieces])
+    remaining = Draft(vertices, draft.faces, draft.loose | (level == 0)).replaced(points, kept)
+    used = np.zeros(len(rim), dtype=bool)
+    used[kept] = True
+    return remaining.compacted(), np.flatnonzero(rim[used])
 
 
 def _snapped(
-    mesh: Mesh, level: NDArray[np.float64]
+    draft: Draft, level: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Vertices close to the contour moved onto it, so that no slivers are cut."""
-    pairs = side_pairs(mesh.faces[(level[mesh.faces] > 0).any(axis=1)])
+    pairs = side_pairs(draft.faces[(level > 0)[draft.faces].any(axis=1)])
     start, end = np.concatenate([pairs, pairs[:, ::-1]]).T
     crossing = level[start] * level[end] < 0
     start, end = start[crossing], end[crossing]
@@ -111,8 +118,8 @@ def _snapped(
     first[1:] = start[1:] != start[:-1]
     chosen = first & (along < _SNAP)
     start, end, along = start[chosen], end[chosen], along[chosen, None]
-    vertices, level = mesh.vertices.copy(), level.copy()
-    vertices[start] = mesh.vertices[start] * (1 - along) + mesh.vertices[end] * along
+    vertices, level = draft.vertices.copy(), level.copy()
+    vertices[start] = draft.vertices[start] * (1 - along) + draft.vertices[end] * along
     level[start] = 0.0
     return vertices, level
 
