@@ -67,6 +67,15 @@ def test_a_mask_and_back(shape: Shape, points: list[Point]) -> None:
     assert [tuple(p) for p in SparseLattice.from_mask(mask).coordinates.tolist()] == sorted(inside)
 
 
+def test_just_outside_there_is_nothing() -> None:
+    lattice = SparseLattice.from_mask(torch.ones(5, 9, 17, dtype=torch.bool))
+    for axis, side in enumerate((5, 9, 17)):
+        for beyond in (-9, -1, side, side + 8):
+            asked = torch.tensor([2, 3, 4])
+            asked[axis] = beyond
+            assert lattice.find(asked) == -1
+
+
 def test_a_look_up_keeps_the_shape_of_the_question() -> None:
     lattice = SparseLattice.from_mask(torch.ones(9, 9, 9, dtype=torch.bool))
     asked = torch.randint(0, 9, (4, 5, 3), generator=torch.Generator().manual_seed(0))

@@ -93,6 +93,8 @@ def test_outside_the_box_answers_say_so_and_stay_sensible(
     assert answer.valid.tolist() == [True, False, False, False]
     exact = np.linalg.norm(points - centre, axis=1) - RADIUS
     np.testing.assert_allclose(answer.distance, exact, rtol=0.02)
+    at_the_box = np.clip(points, sphere_field.low, sphere_field.high)
+    np.testing.assert_array_equal(answer.closest, sphere_field.query(at_the_box).closest)
 
 
 def test_on_the_surface_the_gradient_is_zero(sphere_field: UnsignedDistanceField) -> None:
@@ -106,6 +108,13 @@ def test_on_the_surface_the_gradient_is_zero(sphere_field: UnsignedDistanceField
     np.testing.assert_array_equal(answer.closest, points)
     assert not answer.distance.any()
     assert not answer.gradient.any()
+
+
+def test_the_unit_field_is_the_same_field(sphere_field: UnsignedDistanceField) -> None:
+    points = queries(sphere_field, 50)
+    unit = torch.from_numpy(sphere_field.normalisation.to_unit(points))
+    feet = sphere_field.normalisation.to_world(sphere_field.unit.project(unit).numpy())
+    np.testing.assert_allclose(feet, sphere_field.query(points).closest, atol=1e-9)
 
 
 def test_no_question_no_answer(sphere_field: UnsignedDistanceField) -> None:
