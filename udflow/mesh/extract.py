@@ -21,10 +21,12 @@ from udflow.mesh.lattice import Lattice
 from udflow.mesh.manifold import separated
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.orientation import oriented
+from udflow.mesh.rims import faired
 from udflow.mesh.support import SampleSet
 from udflow.mesh.topology import edges_of
 from udflow.mesh.trim import trimmed
 
+FAIRING = 2.0  # spacings: rims waver by less than this
 BAND_WIDTH = 1.1  # voxels: both ends of a crossed edge lie within 1
 LONGEST_WAY = 0.75  # voxels from the mean crossing to its foot: farther, it was no crossing
 
@@ -80,9 +82,10 @@ def _finished(field: ProjectiveField, draft: Draft, samples: Tensor, voxel: floa
         return np.asarray(feet.double().cpu().numpy())
 
     data = SampleSet.of(samples.double().cpu().numpy(), voxel)
-    draft = trimmed(draft, data, project)
+    draft = trimmed(draft, data, voxel, project)
     draft = without_dust(draft, data, voxel)
-    return closed(separated(draft), data, project)
+    draft = closed(separated(draft), data, project)
+    return faired(draft, FAIRING * data.spacing, voxel, project)
 
 
 def _spacing(samples: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +14,13 @@ from udflow.mesh.topology import face_normals, parts, side_pairs
 
 SEED = 0.25  # spacings beyond the data that a region must reach to be cut
 SMALLEST_HOLE = 3.0  # squared spacings: smaller gaps inside a surface are chance, not holes
-SMOOTHINGS = 4
+MOST_PASSES = 40
 _KEPT = -0.5  # overshoot given to islands that stay
 _NEAR = -1.0  # overshoot above which faces take part
 _SNAP = 0.25  # a cut nearer to a vertex than this part of an edge moves the vertex instead
 
 
-def trimmed(draft: Draft, samples: SampleSet, project: Project) -> Draft:
+def trimmed(draft: Draft, samples: SampleSet, voxel: float, project: Project) -> Draft:
     """The mesh without what lies beyond the data.
 
     Regions beyond the data are cut off if they reach the border of the mesh or are large enough
@@ -28,6 +29,7 @@ def trimmed(draft: Draft, samples: SampleSet, project: Project) -> Draft:
     Args:
         draft: oriented triangles.
         samples: the data.
+        voxel: of the lattice, about the length of an edge.
         project: moves (n, 3) points onto the surface; cut vertices lie on chords of it.
     """
     found = support(samples, draft.vertices, draft.faces)
@@ -35,7 +37,7 @@ def trimmed(draft: Draft, samples: SampleSet, project: Project) -> Draft:
     beyond = _without_islands(draft, near, found)
     if not (beyond > 0).any():
         return draft
-    draft, moved = cut(draft, _smoothed(near, beyond))
+    draft, moved = cut(draft, _smoothed(near, beyond, _passes(samples.spacing / voxel)))
     vertices = draft.vertices.copy()
     vertices[moved] = project(vertices[moved])
     return replace(draft, vertices=vertices)
@@ -66,7 +68,14 @@ def _without_islands(draft: Draft, faces: NDArray[np.int64], found: Support) -> 
     return beyond
 
 
-def _smoothed(faces: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _passes(edges_per_spacing: float) -> int:
+    """Averages with neighbours that reach about as far as neighbouring samples."""
+    return min(MOST_PASSES, math.ceil(3 + 1.5 * edges_per_spacing**2))
+
+
+def _smoothed(
+    faces: NDArray[np.int64], values: NDArray[np.float64], passes: int
+) -> NDArray[np.float64]:
     """Values at vertices after a few averages with their neighbours: the rim is no rougher than
     the samples require."""
     pairs = side_pairs(faces)
@@ -74,7 +83,7 @@ def _smoothed(faces: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[
     start, end = flat.reshape(-1, 2).T
     degree = np.bincount(start, minlength=len(used))
     local = values[used]
-    for _ in range(SMOOTHINGS):
+    for _ in range(passes):
         around = np.bincount(start, local[end], minlength=len(used)) / degree
         local = 0.5 * (local + around)
     result = values.copy()
