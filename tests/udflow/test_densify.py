@@ -69,13 +69,22 @@ def test_nothing_is_made_up_beyond_a_rim() -> None:
     assert 0 <= float(below) < 1.5 * spacing
 
 
-def test_new_points_do_not_creep_from_round_to_round() -> None:
-    """What lies between is judged by the measured points, not by those made up before."""
+def test_new_points_do_not_creep_over_a_rim_round_after_round() -> None:
     cloud = Hemisphere().sample(500)
     spacing = (2 * torch.pi * 0.25 / 500) ** 0.5
     config = DensifyConfig(target_points=4000, points_per_round=100)
     points = grown(cloud, Sphere(), config, rounds=12)
     assert -float(points[:, 2].min()) < 1.5 * spacing
+
+
+def test_what_was_made_up_before_is_no_evidence() -> None:
+    """Points of an earlier round that went astray attract no others."""
+    cloud = Hemisphere().sample(500)
+    astray = Sphere().sample(600, seed=1)
+    samples = torch.cat([cloud, astray[astray[:, 2] < -0.1]])
+    points = reflow(samples, cloud, Sphere(), CONFIG, torch.Generator().manual_seed(0))
+    assert len(points) > len(samples) + 100
+    assert float(points[len(samples) :, 2].min()) > -0.1
 
 
 @dataclass(frozen=True)
