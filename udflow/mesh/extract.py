@@ -19,6 +19,7 @@ from udflow.mesh.dual import DualSurface, dual_surface, triangles
 from udflow.mesh.holes import closed
 from udflow.mesh.lattice import Lattice
 from udflow.mesh.manifold import separated
+from udflow.mesh.marching import FAR, FAR_SPACINGS, marched
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.orientation import oriented
 from udflow.mesh.rims import faired
@@ -47,16 +48,38 @@ def extract(field: ProjectiveField, samples: Tensor, config: ExtractConfig) -> M
         EmptySurface: no surface near the samples at this resolution.
     """
     lattice = Lattice.around(samples, config.resolution)
+    by = _by_cells if config.extractor == "cap" else _by_edges
+    mesh = by(field, samples, lattice)
+    if len(mesh.faces) == 0:
+        raise EmptySurface(
+            f"The field has no surface near the {samples.shape[0]} points at resolution "
+            f"{config.resolution}. Raise the resolution, or fit the field again with more points."
+        )
+    return mesh
+
+
+def _by_edges(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh:
+    """Edge flags, dual vertices, and what makes the result clean."""
     band = find_band(field, samples, _spacing(samples), lattice, BAND_WIDTH)
     surface = dual_surface(lattice, find_crossings(field, band))
     draft = _on_surface(field, surface, lattice.step)
     if len(draft.faces) > 0:
         draft = _finished(field, draft, samples, lattice.step)
-    if len(draft.faces) == 0:
-        raise EmptySurface(
-            f"The field has no surface near the {samples.shape[0]} points at resolution "
-            f"{config.resolution}. Raise the resolution, or fit the field again with more points."
-        )
+    return Mesh(draft.vertices, draft.faces)
+
+
+def _by_cells(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh:
+    """The paper's protocol: marching cell by cell, then dropping what is far from the samples.
+    Orientation apart, nothing is repaired."""
+    spacing = _spacing(samples)
+    points, triangles = marched(field, samples, spacing, lattice)
+    vertices, faces = points.double().cpu().numpy(), triangles.cpu().numpy()
+    tree = cKDTree(samples.double().cpu().numpy())
+    distance = tree.query(vertices, workers=2)[0]
+    limit = max(FAR, FAR_SPACINGS * float(spacing.median()))
+    faces = faces[distance[faces].mean(axis=1) <= limit]
+    faces = oriented(vertices, faces, edges_of(faces))
+    draft = Draft(vertices, faces, np.zeros(len(vertices), dtype=bool)).compacted()
     return Mesh(draft.vertices, draft.faces)
 
 

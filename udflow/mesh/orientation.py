@@ -11,32 +11,32 @@ from udflow.mesh.topology import Edges, cross, parts, side_ends
 
 
 def oriented(
-    vertices: NDArray[np.float64], quads: NDArray[np.int64], edges: Edges
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], edges: Edges
 ) -> NDArray[np.int64]:
-    """(q, 4) quads, reversed where needed so that neighbours agree.
+    """(f, k) triangles or quads, reversed where needed so that neighbours agree.
 
-    Quads are neighbours where exactly two meet at an edge. A one-sided part (a Möbius strip) keeps
+    Faces are neighbours where exactly two meet at an edge. A one-sided part (a Möbius strip) keeps
     a seam along which neighbours disagree. Each part is turned to enclose positive volume as seen
     from its centre: outwards where it is closed, by convention where it is open.
     """
     pair = edges.sides_where(2)
-    start, _ = side_ends(quads, pair)
+    start, _ = side_ends(faces, pair)
     disagree = start[:, 0] == start[:, 1]  # both run along the edge in the same direction
-    neighbours = pair // 4
-    label = _double_cover(neighbours, disagree, len(quads))
+    neighbours = pair // faces.shape[1]
+    label = _double_cover(neighbours, disagree, len(faces))
     one_sided = label[0] == label[1]
     if one_sided.any():
         kept = _without_cycles(neighbours, one_sided)
-        label = _double_cover(neighbours[kept], disagree[kept], len(quads))
-    quads = _reversed_where(quads, label[0] > label[1])
+        label = _double_cover(neighbours[kept], disagree[kept], len(faces))
+    faces = _reversed_where(faces, label[0] > label[1])
     part = np.minimum(label[0], label[1])
-    return _reversed_where(quads, _volume(vertices, quads, part)[part] < 0)
+    return _reversed_where(faces, _volume(vertices, faces, part)[part] < 0)
 
 
 def _double_cover(
     neighbours: NDArray[np.int64], disagree: NDArray[np.bool_], count: int
 ) -> NDArray[np.int64]:
-    """(2, q) parts of the graph whose nodes are the quads as given and the quads reversed.
+    """(2, f) parts of the graph whose nodes are the faces as given and the faces reversed.
 
     In a two-sided part the two orientations fall apart; in a one-sided part they are connected.
     """
@@ -48,7 +48,7 @@ def _double_cover(
 
 
 def _without_cycles(neighbours: NDArray[np.int64], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which pairs of neighbours to keep so that only a spanning tree connects the chosen quads."""
+    """Which pairs of neighbours to keep so that only a spanning tree connects the chosen faces."""
     count = len(chosen)
     among = chosen[neighbours[:, 0]]
     part = parts(neighbours[among], count)
@@ -62,7 +62,7 @@ def _without_cycles(neighbours: NDArray[np.int64], chosen: NDArray[np.bool_]) ->
     before = breadth_first_order(graph, count, directed=False, return_predecessors=True)[1]
     one, two = neighbours.T
     in_tree = (before[one] == two) | (before[two] == one)
-    # two quads may share two edges: only one of them belongs to the tree
+    # two faces may share two edges: only one of them belongs to the tree
     key = np.minimum(one, two) * count + np.maximum(one, two)
     once = np.zeros(len(key), dtype=bool)
     once[np.unique(key, return_index=True)[1]] = True
@@ -70,15 +70,15 @@ def _without_cycles(neighbours: NDArray[np.int64], chosen: NDArray[np.bool_]) ->
     return kept
 
 
-def _reversed_where(quads: NDArray[np.int64], where: NDArray[np.bool_]) -> NDArray[np.int64]:
-    return np.where(where[:, None], quads[:, ::-1], quads)
+def _reversed_where(faces: NDArray[np.int64], where: NDArray[np.bool_]) -> NDArray[np.int64]:
+    return np.where(where[:, None], faces[:, ::-1], faces)
 
 
 def _volume(
-    vertices: NDArray[np.float64], quads: NDArray[np.int64], part: NDArray[np.int64]
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], part: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Six times the volume that each part encloses with its own centre."""
-    a, b, c, d = (vertices[quads[:, i]] for i in range(4))
+    a, b, c, d = (vertices[faces[:, i % faces.shape[1]]] for i in range(4))
     size = np.maximum(np.bincount(part), 1)
     centre = np.stack([np.bincount(part, a[:, i]) / size for i in range(3)], axis=1)
     volume = ((a - centre[part]) * cross(c - a, d - b)).sum(axis=1)
