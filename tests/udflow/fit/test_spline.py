@@ -150,7 +150,7 @@ def resolution(spacing: float, extract: int = 256, spline: int | None = None) ->
 
 def test_the_finest_grid_follows_the_samples() -> None:
     assert resolution(0.004) == 256  # no finer than the mesh
-    assert resolution(0.004, extract=512) == 312  # cells of 0.8 spacings
+    assert resolution(0.004, extract=512) == 384  # cells of 0.65 spacings
     assert resolution(0.02) == 100  # cells of half a spacing where there are few samples
     assert resolution(0.02, extract=64) == 64
     assert resolution(0.5) == 16
