@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from jobs.spec import Artifact, JobError, JobRecord, JobSpec, JobState
+from jobs.spec import Artifact, JobError, JobRecord, JobSpec, JobState, box_of
 
 
 def initial_fields(spec: JobSpec) -> dict[str, str]:
@@ -16,6 +16,7 @@ def initial_fields(spec: JobSpec) -> dict[str, str]:
         spec.to_dict()
         | {"state": JobState.QUEUED, "attempt": 1, "crashes": 0, "progress": 0.0}
         | {"round": 0, "rounds": 0, "outputs": {}, "warnings": [], "cancel_requested": False}
+        | {"keep_partial": False}
     )
 
 
@@ -72,6 +73,14 @@ def record_of(fields: Mapping[str, str]) -> JobRecord:
         cancel_requested=fields["cancel_requested"] == "1",
         cancel_requested_at=_float(fields, "cancel_requested_at"),
         owner=fields.get("owner") or None,
+        keep_partial=fields.get("keep_partial") == "1",
+        kind="extract" if fields.get("kind") == "extract" else "reconstruct",
+        source=fields.get("source") or None,
+        box=box_of(json.loads(fields.get("box") or "null")),
+        wanted=tuple(json.loads(fields.get("wanted") or "[]")),
+        retried_from=fields.get("retried_from") or None,
+        webhook=fields.get("webhook") or None,
+        caller=fields.get("caller") or None,
     )
 
 

@@ -164,10 +164,13 @@ class JobRecords:
                 return Page(tuple(found), None)
             before = ids[-1]
 
-    def request_cancel(self, job_id: str) -> JobRecord | None:
+    def request_cancel(self, job_id: str, *, keep_partial: bool = False) -> JobRecord | None:
         """Ask to stop. A waiting job is canceled at once, a running one becomes canceling, a
-        finished one stays. The record afterwards, None if there is none."""
-        self._run(scripts.CANCEL, job_id)
+        finished one stays. The record afterwards, None if there is none.
+
+        keep_partial: store a mesh of what is fitted so far. A later call without it stops sooner.
+        """
+        self._run(scripts.CANCEL, job_id, int(keep_partial))
         return self.get(job_id)
 
     def delete(self, job_id: str, force: bool = False) -> bool:
@@ -215,9 +218,12 @@ class JobRecords:
         kind, data = (event[0], json.dumps(event[1])) if event else ("", "")
         return bool(self._run(scripts.UPDATE, job_id, attempt, kind, data, *flat(texts(fields))))
 
-    def is_canceling(self, job_id: str) -> bool:
-        """Whether a running job was asked to stop."""
-        return bool(self._redis.hget(keys.job(job_id), "state") == JobState.CANCELING)
+    def asked_to_stop(self, job_id: str) -> Literal["no", "at_once", "keep_partial"]:
+        """Whether a running job was asked to stop, and then to keep what is fitted so far."""
+        state, keeps = self._redis.hmget(keys.job(job_id), "state", "keep_partial")
+        if state != JobState.CANCELING:
+            return "no"
+        return "keep_partial" if keeps == "1" else "at_once"
 
     def renew_lease(self, job_id: str, attempt: int) -> bool:
         """Keep the job for another lease_s."""

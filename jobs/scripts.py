@@ -121,14 +121,19 @@ return 1
 """
 )
 
-# ARGV: id
+# ARGV: id, keep what is fitted so far 0/1. Asking again without keeping gives it up.
 CANCEL = (
     _PRELUDE
     + """
-local found = redis.call('HMGET', JOB, 'state', 'attempt')
+local found = redis.call('HMGET', JOB, 'state', 'attempt', 'keep_partial')
 local state, attempt = found[1], found[2]
+if state == 'canceling' and found[3] == '1' and ARGV[2] == '0' then
+  redis.call('HSET', JOB, 'keep_partial', '0', 'cancel_requested_at', stamp(now()))
+  return 1
+end
 if state ~= 'queued' and state ~= 'running' then return 0 end
-redis.call('HSET', JOB, 'cancel_requested', '1', 'cancel_requested_at', stamp(now()))
+redis.call('HSET', JOB, 'cancel_requested', '1', 'cancel_requested_at', stamp(now()),
+           'keep_partial', ARGV[2])
 if state == 'queued' then
   end_as('canceled', attempt, '')
 else
@@ -150,6 +155,9 @@ if redis.call('HGET', JOB, 'finished_by') == ARGV[2] then return state end
 if not is_held(state) then return false end
 redis.call('HSET', JOB, 'finished_by', ARGV[2])
 if state == 'canceling' then
+  if redis.call('HGET', JOB, 'keep_partial') == '1' and ARGV[5] ~= '{}' then
+    redis.call('HSET', JOB, 'outputs', ARGV[5], 'warnings', ARGV[6])
+  end
   end_as('canceled', ARGV[2], '')
   return 'canceled'
 end

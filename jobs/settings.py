@@ -23,7 +23,8 @@ class Settings:
     redis_url: None while no Redis is known; `make up` starts one and sets it.
     secret: signs queued tasks; None means the key file in the data folder.
     lease_s: a worker that has not renewed for so long has lost its job.
-    cancel_grace_s: a canceled job that has not stopped by itself is killed after this.
+    cancel_grace_s: a canceled job that has not stopped by itself is killed after this;
+        partial_grace_s: the same when it is to keep a mesh of what is fitted so far.
     stall_s: a fit without any progress for so long counts as hung.
     job_timeout_s: longest run of one attempt; queue_ttl_s: longest wait in the queue.
     device: where to fit; None takes the GPU if there is one.
@@ -34,6 +35,7 @@ class Settings:
     secret: str | None = None
     lease_s: float = 20.0
     cancel_grace_s: float = 8.0
+    partial_grace_s: float = 180.0
     reaper_period_s: float = 5.0
     stall_s: float = 300.0
     job_timeout_s: float = 4 * 3600.0
@@ -52,6 +54,7 @@ class Settings:
             for name in (
                 "lease_s",
                 "cancel_grace_s",
+                "partial_grace_s",
                 "reaper_period_s",
                 "stall_s",
                 "job_timeout_s",

@@ -76,23 +76,32 @@ def reconstruct(
 
 
 def reconstruct_steps(
-    cloud: PointCloud, config: Config, device: str = "cpu"
+    cloud: PointCloud,
+    config: Config,
+    device: str = "cpu",
+    enough: Callable[[], bool] = lambda: False,
 ) -> Generator[Progress, None, Reconstruction]:
     """`reconstruct` as a generator: yields progress, returns the `Reconstruction`.
 
-    Between two yields a caller may stop, publish or save; nothing is lost by waiting.
+    Between two yields a caller may stop, publish or save; nothing is lost by waiting. Once
+    `enough` says so no more is fitted, and the mesh is made of the last whole fit; the first fit
+    is always finished.
     """
     require_reconstructable(cloud)
     with torch.inference_mode():
-        return (yield from _Run(cloud, config, device).steps())
+        return (yield from _Run(cloud, config, device, enough).steps())
 
 
 class _Run:
     """One reconstruction under way: what the stages hand to each other, and the clock."""
 
-    def __init__(self, cloud: PointCloud, config: Config, device: str) -> None:
+    def __init__(
+        self, cloud: PointCloud, config: Config, device: str, enough: Callable[[], bool]
+    ) -> None:
         self.cloud = cloud
         self.config = config
+        self.enough = enough
+        self.partial = False
         self.normalisation = Normalisation.of(cloud.points)
         unit = np.unique(self.normalisation.to_unit(cloud.points), axis=0)
         self.measured = torch.from_numpy(unit).to(device)
@@ -108,7 +117,7 @@ class _Run:
     def steps(self) -> Generator[Progress, None, Reconstruction]:
         yield self._progress("reading", 1, 1)
         fit = yield from self._fitted("fitting")
-        while self.round < self.rounds:
+        while self.round < self.rounds and not self.partial:
             grown = densify.reflow(
                 self.samples, self.measured, fit.field, self.config.densify, self.generator
             )
@@ -116,7 +125,7 @@ class _Run:
                 break
             self.samples = grown
             self.round += 1
-            fit = yield from self._fitted("densifying")
+            fit = yield from self._fitted("densifying", fit)
         yield self._progress("extracting", 0, 1)
         mesh = self._extracted(fit)
         self._clock("extracting")
@@ -125,7 +134,10 @@ class _Run:
         yield self._progress("exporting", 1, 1)
         return result
 
-    def _fitted(self, stage: Stage) -> Generator[Progress, None, SplineFit]:
+    def _fitted(
+        self, stage: Stage, earlier: SplineFit | None = None
+    ) -> Generator[Progress, None, SplineFit]:
+        """A new fit, or the earlier one when it is to be enough."""
         yield self._progress(stage, 0, self.config.flow.steps)
         surface = self._surface()
         fitting = fit_spline(surface, self.config)
@@ -136,6 +148,10 @@ class _Run:
                 fit: SplineFit = done.value
                 break
             yield self._progress(stage, solved, self.config.flow.steps)
+            self.partial = self.enough()
+            if self.partial and earlier is not None:
+                self._clock(stage)
+                return earlier
         self.loss = fit.loss
         self._clock(stage)
         return fit
@@ -187,6 +203,7 @@ class _Run:
                 "densified": len(self.samples),
                 "rounds": self.round,
             },
+            "partial": self.partial,
             "frame": {"centre": list(self.normalisation.centre), "scale": scale},
             "spacing": surface.spacing * scale,
             "sample_error": surface.error * scale,

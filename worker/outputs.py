@@ -6,9 +6,11 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from udflow.fields.storage import save_field
 from udflow.mesh.export import MESH_FORMATS, write_mesh, write_points
+from udflow.mesh.mesh import Mesh
 from udflow.reconstruct import Reconstruction
 
 
@@ -22,9 +24,19 @@ class Output:
 
 def outputs_of(result: Reconstruction) -> Iterator[Output]:
     """Every file that a job leaves: meshes for tools, the dense cloud, the field, the report."""
-    for suffix in MESH_FORMATS:
-        yield Output(f"mesh.{suffix}", lambda path: write_mesh(result.mesh, path))
+    yield from meshes_of(result.mesh)
     yield Output("points.ply", lambda path: write_points(result.points, path))
     yield Output("field.safetensors", lambda path: save_field(result.field, path))
-    report = json.dumps(result.report, indent=2, allow_nan=False)
-    yield Output("report.json", lambda path: path.write_text(report))
+    yield report_of(result.report)
+
+
+def meshes_of(mesh: Mesh) -> Iterator[Output]:
+    """The mesh in every format."""
+    for suffix in MESH_FORMATS:
+        yield Output(f"mesh.{suffix}", lambda path: write_mesh(mesh, path))
+
+
+def report_of(values: dict[str, Any]) -> Output:
+    """The report as JSON."""
+    text = json.dumps(values, indent=2, allow_nan=False)
+    return Output("report.json", lambda path: path.write_text(text))

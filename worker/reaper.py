@@ -98,7 +98,9 @@ class Reaper:
         asked = record.cancel_requested_at
         if record.state is not JobState.CANCELING or asked is None:
             return
-        if now - asked > self._settings.cancel_grace_s:
+        settings = self._settings
+        grace_s = settings.partial_grace_s if record.keep_partial else settings.cancel_grace_s
+        if now - asked > grace_s:
             log.warning("%s does not stop by itself", record.id)
             self._dispatcher.stop(record.id, record.attempt)
 

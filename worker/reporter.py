@@ -42,6 +42,11 @@ class Reporter:
         self._last: Progress | None = None
         self._next = 0.0
         self._unsent: deque[tuple[str, dict[str, Any]]] = deque(maxlen=_MOST_UNSENT)
+        self._enough = False
+
+    def enough(self) -> bool:
+        """Whether somebody asked to stop and to keep what is fitted so far."""
+        return self._enough
 
     def report(self, progress: Progress, share: float) -> None:
         """Publish, and look whether to stop. share: of the whole job, 0..1.
@@ -103,5 +108,7 @@ class Reporter:
             raise JobLost
 
     def _look_for_cancel(self) -> None:
-        if self._records.is_canceling(self._job.id):
+        asked = self._records.asked_to_stop(self._job.id)
+        if asked == "at_once":
             raise Canceled("the job was canceled")
+        self._enough = asked == "keep_partial"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
@@ -19,10 +19,11 @@ from udflow.config import from_dict
 from udflow.errors import Canceled, InvalidCloud
 from udflow.progress import Progress
 from udflow.reconstruct import Reconstruction, reconstruct_steps
+from worker.extraction import extract_again
 from worker.failure import TooLong, explain
 from worker.horse import choose_device, owner_name
 from worker.lease import LeaseKeeper
-from worker.outputs import outputs_of
+from worker.outputs import Output, outputs_of
 from worker.reporter import JobLost, Reporter
 
 log = logging.getLogger("worker")
@@ -59,7 +60,7 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
         try:
             with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
                 watch = Watch(Reporter(records, job), lease, settings.job_timeout_s)
-                outcome = _attempt(job, store, watch)
+                outcome = _attempt(job, records, store, watch)
         except JobLost:
             log.warning("%s attempt %d was taken away", job_id, attempt)
             store.delete_attempt(job_id, attempt)
@@ -75,6 +76,10 @@ class Watch:
         self._lease = lease
         self._longest_s = longest_s
         self._began = time.monotonic()
+
+    def enough(self) -> bool:
+        """Whether what is fitted so far is to be the result."""
+        return self._reporter.enough()
 
     def step(self, progress: Progress) -> None:
         """Raises TooLong, Canceled or JobLost when it is time to stop."""
@@ -92,8 +97,10 @@ class Watch:
             raise TooLong
 
 
-def _attempt(job: JobRecord, store: FileStore, watch: Watch) -> Outcome:
+def _attempt(job: JobRecord, records: JobRecords, store: FileStore, watch: Watch) -> Outcome:
     try:
+        if job.kind == "extract":
+            return _extract(job, records, store, watch)
         return _reconstruct(job, store, watch)
     except JobLost:
         raise
@@ -109,10 +116,18 @@ def _reconstruct(job: JobRecord, store: FileStore, watch: Watch) -> Outcome:
     if not path.exists():
         raise InvalidCloud("the scan of this job was deleted; upload it again and make a new job")
     cloud = read_cloud(path)
-    steps = reconstruct_steps(cloud, from_dict(job.config), job.device or "cpu")
+    config = from_dict(job.config)
+    steps = reconstruct_steps(cloud, config, job.device or "cpu", watch.enough)
     result = _drive(steps, watch)
-    outputs = _store(result, job, store, watch)
+    outputs = _store(outputs_of(result), job, store, watch)
     return Outcome(JobState.SUCCEEDED, outputs=outputs, warnings=cloud.warnings)
+
+
+def _extract(job: JobRecord, records: JobRecords, store: FileStore, watch: Watch) -> Outcome:
+    watch.step(Progress("reading", 0, 1, 0.0, 0.0, 0))
+    source = records.get(job.source or "")
+    files = extract_again(job, source, store, watch.step)
+    return Outcome(JobState.SUCCEEDED, outputs=_store(files, job, store, watch))
 
 
 def _drive(steps: Generator[Progress, None, Reconstruction], watch: Watch) -> Reconstruction:
@@ -126,9 +141,9 @@ def _drive(steps: Generator[Progress, None, Reconstruction], watch: Watch) -> Re
 
 
 def _store(
-    result: Reconstruction, job: JobRecord, store: FileStore, watch: Watch
+    made: Iterable[Output], job: JobRecord, store: FileStore, watch: Watch
 ) -> dict[str, Artifact]:
-    files = list(outputs_of(result))
+    files = [file for file in made if not job.wanted or file.name in job.wanted]
     stored: dict[str, Artifact] = {}
     for done, file in enumerate(files):
         watch.file(done, len(files))
@@ -149,10 +164,16 @@ def _finish(job: JobRecord, outcome: Outcome, records: JobRecords, store: FileSt
         records.lease_s,
     )
     log.info("%s attempt %d: %s", job.id, job.attempt, reached or "was taken away")
-    if reached is JobState.SUCCEEDED:
+    if reached is JobState.SUCCEEDED or (reached is JobState.CANCELED and _is_kept(job, records)):
         store.keep_only_attempt(job.id, job.attempt)
     else:
         store.delete_attempt(job.id, job.attempt)
+
+
+def _is_kept(job: JobRecord, records: JobRecords) -> bool:
+    """Whether a canceled job keeps a mesh of what was fitted."""
+    ended = _insist(lambda: records.get(job.id), records.lease_s)
+    return ended is not None and bool(ended.outputs)
 
 
 def _insist(ask: Callable[[], _Answer], patience_s: float) -> _Answer:

@@ -188,7 +188,7 @@ def test_an_acknowledged_cancel_beats_a_success(records: JobRecords) -> None:
     asked = records.request_cancel(job.id)
     assert asked is not None
     assert (asked.state, asked.cancel_requested) == (JobState.CANCELING, True)
-    assert records.is_canceling(job.id)
+    assert records.asked_to_stop(job.id) == "at_once"
     assert records.update(job.id, 1, progress=0.9)  # still ours until it ends
     assert records.finish(job.id, 1, JobState.SUCCEEDED, outputs=MESH) is JobState.CANCELED
     found = records.get(job.id)
