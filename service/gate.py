@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.page import is_open
 from service.problems import Problem
 from service.settings import LOOPBACK_HOSTS, ServiceSettings
 
@@ -67,7 +68,8 @@ class Gate:
             return Problem(
                 "cross_origin", "This request comes from a page of another site; none is allowed."
             )
-        if scope["path"] in OPEN_PATHS or self._has_key(headers):
+        path = scope["path"].removeprefix(scope.get("root_path", ""))
+        if path in OPEN_PATHS or is_open(path) or self._has_key(headers):
             return None
         return Problem(
             "unauthorized",

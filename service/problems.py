@@ -25,6 +25,7 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "cross_origin": (403, "Requests from other sites are refused"),
     "not_found": (404, "There is nothing at this address"),
     "scan_not_found": (404, "No scan has this id"),
+    "sample_not_found": (404, "No sample has this name"),
     "job_not_found": (404, "No job has this id"),
     "artifact_not_found": (404, "The job has no such result"),
     "method_not_allowed": (405, "This address does not take this method"),

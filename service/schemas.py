@@ -94,6 +94,22 @@ class Scan(BaseModel):
     links: dict[str, str]
 
 
+class SampleInfo(BaseModel):
+    """A simulated scan. url: of its file."""
+
+    name: str
+    title: str
+    about: str
+    points: int
+    url: str
+
+
+class SampleList(BaseModel):
+    """All simulated scans."""
+
+    samples: list[SampleInfo]
+
+
 class JobFailure(BaseModel):
     """Why a job failed."""
 

@@ -34,6 +34,12 @@ class InvalidQuery(UdflowError, ValueError):
     code = "invalid_query"
 
 
+class UnknownSample(UdflowError, LookupError):
+    """There is no simulated scan of this name."""
+
+    code = "sample_not_found"
+
+
 class Diverged(UdflowError, ArithmeticError):
     """A fit produced values that are not finite."""
 
