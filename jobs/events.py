@@ -1,6 +1,6 @@
 """One Redis stream a job: what happened, in order, to be read again from any point.
 
-Types: state, stage, progress, densify, warning, end. A `snapshot` is the record itself
+Types: state, stage, progress, densify, preview, warning, end. A `snapshot` is the record itself
 (`JobRecords.snapshot`) and is not stored. An event id is its place in the stream.
 """
 

@@ -4,6 +4,8 @@ EVENTS_KEPT = 2000  # about this many events a job stay readable
 EVENTS_LIFE_S = 24 * 3600  # how long after the end they stay
 IDEMPOTENCY_LIFE_S = 24 * 3600
 TOMBSTONE_LIFE_S = 30 * 24 * 3600
+PREVIEW_LIFE_S = 15 * 60  # a frame is of interest while its job runs
+WATCHED_LIFE_S = 60
 RECORD_MARGIN_S = 24 * 3600  # Redis drops a record this long after the sweeper should have
 
 INDEX = "udflow:jobs:all"  # sorted set, ids in creation order; member leaves with its record
@@ -23,6 +25,16 @@ def job(job_id: str) -> str:
 def events(job_id: str) -> str:
     """Stream of about EVENTS_KEPT: from creation until EVENTS_LIFE_S after the end."""
     return f"udflow:job:{job_id}:events"
+
+
+def preview(job_id: str, kind: str) -> str:
+    """String, the newest frame of this kind: PREVIEW_LIFE_S."""
+    return f"udflow:job:{job_id}:preview:{kind}"
+
+
+def watched(job_id: str) -> str:
+    """String, says that somebody looks at frames: WATCHED_LIFE_S."""
+    return f"udflow:job:{job_id}:watched"
 
 
 def idempotency(key_digest: str) -> str:

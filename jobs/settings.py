@@ -92,6 +92,10 @@ class Settings:
         """For the API's event readers: answers are text."""
         return redis.asyncio.Redis.from_url(self.url, decode_responses=True)
 
+    def connect_async_raw(self) -> redis.asyncio.Redis:
+        """For the API's readers of preview frames: answers are bytes."""
+        return redis.asyncio.Redis.from_url(self.url)
+
     def connect_raw(self) -> redis.Redis:
         """For RQ, which wants bytes."""
         return redis.Redis.from_url(self.url)

@@ -27,7 +27,8 @@ class Overflow(Exception):
 class Watcher:
     """The events one client has not taken yet.
 
-    Waiting progress is replaced by newer progress; everything else is kept in order. A client
+    Waiting progress is replaced by newer progress, a waiting preview by the next of its kind;
+    everything else is kept in order. A client
     that lets MAX_PENDING events pile up is cut off: it can resume at the last id it has seen.
 
     since: every event after this id will be offered.
@@ -43,12 +44,19 @@ class Watcher:
         """Adds an event without ever waiting."""
         if event.type == "progress" and self._pending and self._pending[-1].type == "progress":
             self._pending.pop()
+        if event.type == "preview":
+            self._forget_previews(event.data.get("kind"))
         if len(self._pending) >= MAX_PENDING:
             self._overflowed = True
             self._pending.clear()
         if not self._overflowed:
             self._pending.append(event)
         self._arrived.set()
+
+    def _forget_previews(self, kind: object) -> None:
+        older = [e for e in self._pending if e.type == "preview" and e.data.get("kind") == kind]
+        for event in older:
+            self._pending.remove(event)
 
     async def next(self, timeout_s: float) -> Event | None:
         """The next event, or None when none came in time.

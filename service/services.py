@@ -14,6 +14,7 @@ from starlette.requests import HTTPConnection
 
 from jobs.dispatch import Dispatcher
 from jobs.events import AsyncEvents
+from jobs.previews import AsyncPreviews
 from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.signing import load_secret
@@ -21,6 +22,7 @@ from jobs.store import FileStore
 from service.event_hub import EventHub
 from service.event_stream import EventSource
 from service.field_cache import FieldCache
+from service.frames import SharedFrames
 from service.inspection import Inspector
 from service.settings import ServiceSettings
 
@@ -37,12 +39,14 @@ class Services:
     events: EventSource
     inspector: Inspector
     fields: FieldCache
+    frames: SharedFrames
 
 
 @asynccontextmanager
 async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[Services]:
     """Connects everything and runs the event reader while the service is up."""
     connection, raw, streams = shared.connect(), shared.connect_raw(), shared.connect_async()
+    pictures = shared.connect_async_raw()
     events = AsyncEvents(streams)
     hub = EventHub(events)
     records = JobRecords(connection, shared.lease_s)
@@ -55,6 +59,7 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
         events=EventSource(records, events, hub),
         inspector=Inspector(settings),
         fields=FieldCache(),
+        frames=SharedFrames(AsyncPreviews(pictures)),
     )
     reader = asyncio.create_task(hub.run())
     try:
@@ -65,6 +70,7 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
             await reader
         services.fields.close()
         await streams.aclose()
+        await pictures.aclose()
         connection.close()
         raw.close()
 

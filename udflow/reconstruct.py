@@ -16,14 +16,15 @@ from udflow.cloud.inspection import require_reconstructable
 from udflow.cloud.normalisation import Normalisation
 from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.sampled_surface import SampledSurface
-from udflow.config import Config, to_dict
+from udflow.config import Config, ExtractConfig, to_dict
+from udflow.errors import EmptySurface
 from udflow.fields.unsigned import SurfaceField, UnsignedDistanceField
 from udflow.fit.spline import SplineFit, finest_resolution, fit_spline
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.settling import settled
-from udflow.progress import Progress, Stage
+from udflow.progress import CoarseMesh, GrownCloud, Progress, Stage
 
 _SITE_PER_VOXEL = 0.5  # detail of the data that a mesh of a given voxel can show
 
@@ -110,6 +111,9 @@ class _Run:
         self.generator = torch.Generator().manual_seed(config.seed)
         self.rounds = densify.rounds_needed(len(unit), config.densify)
         self.round = 0
+        self.births = [len(unit)]  # points that came in each round, the measured ones first
+        self.latest: SplineFit | None = None
+        self.fits = 0
         self.loss: float | None = None
         self.started = time.monotonic()
         self.seconds: dict[str, float] = {}
@@ -123,6 +127,7 @@ class _Run:
             )
             if len(grown) == len(self.samples):
                 break
+            self.births.append(len(grown) - len(self.samples))
             self.samples = grown
             self.round += 1
             fit = yield from self._fitted("densifying", fit)
@@ -153,6 +158,7 @@ class _Run:
                 self._clock(stage)
                 return earlier
         self.loss = fit.loss
+        self.latest, self.fits = fit, self.fits + 1
         self._clock(stage)
         return fit
 
@@ -231,6 +237,7 @@ class _Run:
             round=self.round,
             rounds=self.rounds,
             loss=self.loss,
+            look=_Glance(self),
         )
 
     def _fraction(self, stage: Stage, within: float) -> float:
@@ -244,3 +251,31 @@ class _Run:
             "exporting": self.rounds + 1.9 + 0.1 * within,
         }
         return min(done[stage] / parts, 1.0)
+
+
+class _Glance:
+    """What a caller may see of a run between two steps: a `Look`."""
+
+    def __init__(self, run: _Run) -> None:
+        self._run = run
+
+    @property
+    def fits(self) -> int:
+        return self._run.fits
+
+    def cloud(self) -> GrownCloud:
+        points = self._run.normalisation.to_world(self._run.samples.cpu().numpy())
+        births = self._run.births
+        return GrownCloud(points, np.repeat(np.arange(len(births)), births))
+
+    def mesh(self, resolution: int) -> CoarseMesh | None:
+        run = self._run
+        if run.latest is None:
+            return None
+        field = SurfaceField(run.latest.field, run._measured_surface().surface)
+        try:
+            with torch.inference_mode():
+                mesh = extract(field, run.samples, ExtractConfig(resolution))
+        except EmptySurface:
+            return None
+        return CoarseMesh(run.normalisation.to_world(mesh.vertices), mesh.faces)

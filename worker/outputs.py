@@ -11,6 +11,7 @@ from typing import Any
 from udflow.fields.storage import save_field
 from udflow.mesh.export import MESH_FORMATS, write_mesh, write_points
 from udflow.mesh.mesh import Mesh
+from udflow.picture import mesh_picture, png
 from udflow.reconstruct import Reconstruction
 
 
@@ -23,17 +24,24 @@ class Output:
 
 
 def outputs_of(result: Reconstruction) -> Iterator[Output]:
-    """Every file that a job leaves: meshes for tools, the dense cloud, the field, the report."""
+    """Every file that a job leaves: meshes for tools, the dense cloud, the field, the report,
+    a picture."""
     yield from meshes_of(result.mesh)
     yield Output("points.ply", lambda path: write_points(result.points, path))
     yield Output("field.safetensors", lambda path: save_field(result.field, path))
     yield report_of(result.report)
+    yield picture_of(result.mesh)
 
 
 def meshes_of(mesh: Mesh) -> Iterator[Output]:
     """The mesh in every format."""
     for suffix in MESH_FORMATS:
         yield Output(f"mesh.{suffix}", lambda path: write_mesh(mesh, path))
+
+
+def picture_of(mesh: Mesh) -> Output:
+    """The mesh as a small picture."""
+    return Output("preview.png", lambda path: path.write_bytes(png(mesh_picture(mesh))))
 
 
 def report_of(values: dict[str, Any]) -> Output:

@@ -10,6 +10,7 @@ from typing import Literal, TypeVar
 
 import redis
 
+from jobs.previews import Previews
 from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.spec import Artifact, JobError, JobRecord, JobState
@@ -24,6 +25,7 @@ from worker.failure import TooLong, explain
 from worker.horse import choose_device, owner_name
 from worker.lease import LeaseKeeper
 from worker.outputs import Output, outputs_of
+from worker.previewer import Previewer
 from worker.reporter import JobLost, Reporter
 
 log = logging.getLogger("worker")
@@ -59,7 +61,8 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
         store = FileStore(settings.data)
         try:
             with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
-                watch = Watch(Reporter(records, job), lease, settings.job_timeout_s)
+                previewer = Previewer(records, Previews(connection), job)
+                watch = Watch(Reporter(records, job), previewer, lease, settings.job_timeout_s)
                 outcome = _attempt(job, records, store, watch)
         except JobLost:
             log.warning("%s attempt %d was taken away", job_id, attempt)
@@ -71,8 +74,11 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
 class Watch:
     """What has to happen between two steps: keep the lease, mind the clock, tell the world."""
 
-    def __init__(self, reporter: Reporter, lease: LeaseKeeper, longest_s: float) -> None:
+    def __init__(
+        self, reporter: Reporter, previewer: Previewer, lease: LeaseKeeper, longest_s: float
+    ) -> None:
         self._reporter = reporter
+        self._previewer = previewer
         self._lease = lease
         self._longest_s = longest_s
         self._began = time.monotonic()
@@ -85,6 +91,7 @@ class Watch:
         """Raises TooLong, Canceled or JobLost when it is time to stop."""
         self._mind()
         self._reporter.report(progress, _FIT_SHARE * progress.fraction)
+        self._previewer.show(progress)
 
     def file(self, done: int, total: int) -> None:
         """As `step`, while the files of the result are written."""

@@ -18,6 +18,7 @@ from jobs.events import START, require_event_id
 from jobs.ids import is_id
 from service.event_hub import Overflow
 from service.event_stream import UnknownJob, from_event
+from service.frames import FrameReader
 from service.openapi import problems
 from service.problems import invalid
 from service.routes.jobs import find_snapshot
@@ -35,6 +36,8 @@ async def watch_job(socket: WebSocket, job_id: str, services: Needs) -> None:
     """A snapshot, then every event with its id, until the end of the job (close code 1000).
 
     `?after=<id>` resumes after the last event seen. Silence is broken by a heartbeat each 15 s.
+    `?previews=binary` adds frames of the growing cloud and of coarse meshes, as binary messages
+    behind the events that announce them; `jobs/previews.py` has their layout.
     Other close codes: 4404 unknown job, 4400 malformed `after`, 1013 try again: the reader is too
     slow, or Redis is away.
     """
@@ -55,9 +58,13 @@ async def _send_events(socket: WebSocket, job_id: str, services: Services) -> No
     try:
         if not is_id("job", job_id):
             raise UnknownJob
+        reader = FrameReader(services.frames, job_id) if _wants_frames(socket) else None
         async with aclosing(services.events.stream(job_id, after)) as messages:
             async for message in messages:
                 await asyncio.wait_for(socket.send_text(json.dumps(message)), SEND_TIMEOUT_S)
+                if reader is not None:
+                    async for frame in reader.frames_for(message):
+                        await asyncio.wait_for(socket.send_bytes(frame), SEND_TIMEOUT_S)
         await socket.close(ENDED, "the job has ended")
     except UnknownJob:
         await socket.close(UNKNOWN, "there is no job with this id")
@@ -69,6 +76,10 @@ async def _send_events(socket: WebSocket, job_id: str, services: Services) -> No
         await _turn_away(socket, "redis does not answer; resume with ?after= in a few seconds")
     except WebSocketDisconnect:
         return
+
+
+def _wants_frames(socket: WebSocket) -> bool:
+    return socket.query_params.get("previews") == "binary"
 
 
 async def _turn_away(socket: WebSocket, reason: str) -> None:
