@@ -14,12 +14,12 @@ from typing import Literal
 
 from jobs.errors import UnknownId
 
-Kind = Literal["scan", "job"]
+Kind = Literal["scan", "job", "upload"]
 
 _ALPHABET = "0123456789abcdefghjkmnpqrstvwxyz"
 _TIME_CHARACTERS = 10
 _RANDOM_CHARACTERS = 26
-_PATTERN = re.compile(r"(scan|job)_[0-9a-hjkmnp-tv-z]{36}")
+_PATTERN = re.compile(r"(scan|job|upload)_[0-9a-hjkmnp-tv-z]{36}")
 
 
 def new_id(kind: Kind, at: float | None = None) -> str:

@@ -186,6 +186,11 @@ class JobRecords:
             )
         )
 
+    def unfinished_with(self, scan_id: str) -> list[str]:
+        """Ids of waiting and running jobs for a scan."""
+        found = self.queued() + self.active()
+        return [record.id for record in found if record.scan_id == scan_id]
+
     def queue_position(self, job_id: str) -> int | None:
         """1 for the next to start; None when it does not wait."""
         rank = self._redis.zrank(keys.QUEUED, job_id)

@@ -10,7 +10,17 @@ from fastapi import FastAPI
 from jobs.settings import Settings
 from service import openapi, page, problems
 from service.gate import Gate
-from service.routes import events, jobs, results, samples, scans, system, udf
+from service.routes import (
+    events,
+    job_actions,
+    jobs,
+    results,
+    samples,
+    scans,
+    slices,
+    system,
+    udf,
+)
 from service.services import running
 from service.settings import ServiceSettings, from_environment
 from udflow import __version__
@@ -51,7 +61,10 @@ def create_app(settings: ServiceSettings | None = None, shared: Settings | None 
         redirect_slashes=False,
     )
     problems.install(app)
-    for part in (scans, samples, jobs, events, results, udf, system, page):
+    for part in (
+        *(scans, samples, jobs, job_actions, events, results, udf, slices, system),
+        page,
+    ):
         app.include_router(part.router)
     app.openapi = lambda: openapi.document(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, settings=front)

@@ -73,14 +73,14 @@ async def in_blocks(chunks: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         yield bytes(buffer)
 
 
-async def read_model(request: Request, model: type[M]) -> M:
-    """The JSON body as a checked object.
+async def read_model(request: Request, model: type[M], *, optional: bool = False) -> M:
+    """The JSON body as a checked object. optional: no body stands for an empty object.
 
     Raises:
         Problem: not JSON, or values that the model refuses.
     """
     data = await read_all(request, MAX_JSON_BYTES)
-    return validated(model, parse_json(data))
+    return validated(model, {} if optional and not data.strip() else parse_json(data))
 
 
 def parse_json(data: bytes | str) -> Any:

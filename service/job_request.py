@@ -77,7 +77,7 @@ def _escaped(key: str) -> str:
 
 
 def form_values(fields: dict[str, str]) -> JobCreate:
-    """The wish that came as parts of a form; `config` and `metadata` are JSON texts there.
+    """The wish that came as parts of a form; what is no plain text is JSON there.
 
     Its scan_id is empty: the scan comes with the same form.
 
@@ -88,7 +88,7 @@ def form_values(fields: dict[str, str]) -> JobCreate:
     if "scan_id" in values:
         message = "send either the file or a scan_id, not both"
         raise invalid("#/scan_id", "unknown_key", message)
-    for name in ("config", "metadata"):
+    for name in ("config", "metadata", "outputs", "ttl_s"):
         if name in values:
             try:
                 values[name] = parse_json(values[name])

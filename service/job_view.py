@@ -26,7 +26,10 @@ def job_view(record: JobRecord, records: JobRecords) -> Job:
     waits = record.state is JobState.QUEUED
     return Job(
         id=record.id,
+        kind=record.kind,
         scan_id=record.scan_id,
+        source=record.source,
+        retried_from=record.retried_from,
         state=record.state,
         stage=record.stage,
         progress=min(max(record.progress, 0.0), 1.0),
@@ -41,6 +44,7 @@ def job_view(record: JobRecord, records: JobRecords) -> Job:
         error=JobFailure(**vars(record.error)) if record.error else None,
         warnings=list(record.warnings),
         outputs=_outputs(record.id, record.outputs),
+        partial=record.state is JobState.CANCELED and bool(record.outputs),
         config=record.config,
         metadata=record.metadata,
         created_at=moment(record.created_at),
@@ -84,9 +88,11 @@ def _outputs(job_id: str, artifacts: dict[str, Artifact]) -> dict[str, Output]:
 
 def _links(record: JobRecord) -> dict[str, str]:
     own = f"/v1/jobs/{record.id}"
-    parts = ("events", "cancel", "mesh", "points", "field", "report", "udf")
+    parts = ("events", "cancel", "retry", "mesh", "points", "field", "report", "udf")
+    more = {"slice": f"{own}/udf/slice", "extract": f"{own}/extract"}
     return {
         "self": own,
         "scan": f"/v1/scans/{record.scan_id}",
         **{part: f"{own}/{part}" for part in parts},
+        **more,
     }

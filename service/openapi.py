@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from service.requests import Cancel, Extraction, Slice
 from service.schemas import DistanceAnswer, DistanceQuestion, JobCreate, ProblemBody
 
 _BINARY = {"type": "string", "format": "binary"}
@@ -30,10 +31,12 @@ _DESCRIPTIONS = {
     408: "The body stopped arriving",
     409: "Not possible in the job's state",
     410: "Deleted or expired",
+    412: "Another version of tus",
     413: "The body is too large",
     415: "Unknown format",
     416: "The range lies outside the file",
     422: "Invalid values; `errors` points at each",
+    423: "Another request is writing to the upload",
     429: "Too many jobs are waiting",
     503: "The queue does not answer, or the service is busy",
     507: "The disk is full",
@@ -67,6 +70,8 @@ def job_request_body() -> dict[str, Any]:
             "preset": text,
             "config": text | {"description": "JSON object"},
             "metadata": text | {"description": "JSON object"},
+            "outputs": text | {"description": "JSON list"},
+            "ttl_s": text,
         },
     }
     return {
@@ -76,6 +81,12 @@ def job_request_body() -> dict[str, Any]:
             "multipart/form-data": {"schema": form},
         },
     }
+
+
+def model_body(name: str, *, required: bool = True) -> dict[str, Any]:
+    """A JSON body of one of the named models."""
+    schema = {"$ref": f"#/components/schemas/{name}"}
+    return {"required": required, "content": {"application/json": {"schema": schema}}}
 
 
 def udf_request_body() -> dict[str, Any]:
@@ -115,6 +126,9 @@ def document(app: FastAPI) -> dict[str, Any]:
         named: list[tuple[type[BaseModel], Literal["validation", "serialization"]]] = [
             (JobCreate, "validation"),
             (DistanceQuestion, "validation"),
+            (Cancel, "validation"),
+            (Extraction, "validation"),
+            (Slice, "validation"),
             (DistanceAnswer, "serialization"),
             (ProblemBody, "serialization"),
         ]

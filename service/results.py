@@ -29,7 +29,8 @@ def result_file(record: JobRecord, name: str, store: FileStore) -> ResultFile:
     _require_success(record)
     artifact = record.outputs.get(name)
     if artifact is None:
-        raise Problem("artifact_not_found", f"This job made no {name}.")
+        where = f"; the job {record.source}, whose field it used, may" if record.source else ""
+        raise Problem("artifact_not_found", f"This job made no {name}{where}.")
     path = store.artifact_path(artifact)
     if not path.is_file():
         raise Problem("artifact_not_found", f"{name} is no longer in the store.")
@@ -48,7 +49,8 @@ def _require_success(record: JobRecord) -> None:
             state=record.state,
             progress=record.progress,
         )
-    if record.state is not JobState.SUCCEEDED:
+    kept = record.state is JobState.CANCELED and bool(record.outputs)
+    if record.state is not JobState.SUCCEEDED and not kept:
         error = vars(record.error) if record.error else None
         reason = record.error.message if record.error else "it was stopped before its end"
         detail = f"There is no result, the job is {record.state}: {reason}."

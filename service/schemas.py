@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter
 from pydantic.json_schema import WithJsonSchema
@@ -14,6 +14,15 @@ from udflow.config import PRESET_NAMES, Config
 MetadataKey = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 MetadataValue = Annotated[str, StringConstraints(max_length=512)]
 Vector = tuple[float, float, float]
+OutputName = Literal[
+    "mesh.ply",
+    "mesh.glb",
+    "mesh.obj",
+    "mesh.stl",
+    "points.ply",
+    "field.safetensors",
+    "report.json",
+]
 
 
 def _inlined(schema: Any, definitions: dict[str, Any]) -> Any:
@@ -63,7 +72,13 @@ class JobCreate(Strict):
     scan_id: str = Field(max_length=64)
     preset: str = Field(default="fast", description=f"one of: {', '.join(PRESET_NAMES)}")
     config: Annotated[dict[str, Any], WithJsonSchema(config_schema())] = Field(default_factory=dict)
+    outputs: list[OutputName] = Field(
+        default_factory=list, max_length=8, description="the files to make; empty: all"
+    )
     metadata: dict[MetadataKey, MetadataValue] = Field(default_factory=dict, max_length=16)
+    ttl_s: Annotated[float, Field(gt=0, le=1e9)] | None = Field(
+        default=None, description="seconds to keep the job after its end"
+    )
 
 
 class Scan(BaseModel):
@@ -133,7 +148,10 @@ class Job(BaseModel):
     """
 
     id: str
+    kind: Literal["reconstruct", "extract"]
     scan_id: str
+    source: str | None = Field(description="the job whose field an extraction uses")
+    retried_from: str | None
     state: JobState
     stage: str | None
     progress: float = Field(ge=0, le=1)
@@ -148,6 +166,7 @@ class Job(BaseModel):
     error: JobFailure | None
     warnings: list[str]
     outputs: dict[str, Output]
+    partial: bool = Field(description="canceled, with a mesh of what was fitted by then")
     config: dict[str, Any]
     metadata: dict[str, str]
     created_at: datetime

@@ -29,6 +29,8 @@ class ServiceSettings:
         body_timeout_s: UDFLOW_BODY_TIMEOUT_S, longest silence inside a request body.
         queue_limit: UDFLOW_QUEUE_LIMIT, jobs that may wait before new ones are refused.
         min_free_bytes: UDFLOW_MIN_FREE_MB, disk space below which the service is not ready.
+        ttl_s, max_ttl_s: UDFLOW_TTL_S, UDFLOW_MAX_TTL_S, how long a job and its files are kept
+            after its end if the caller does not say, and at most.
     """
 
     host: str = "127.0.0.1"
@@ -41,12 +43,16 @@ class ServiceSettings:
     body_timeout_s: float = 30.0
     queue_limit: int = 1000
     min_free_bytes: int = 512 << 20
+    ttl_s: float = 7 * 24 * 3600.0
+    max_ttl_s: float = 90 * 24 * 3600.0
 
     def __post_init__(self) -> None:
         if not 0 < self.port < 65536:
             raise SettingsError(f"PORT is {self.port}; choose 1 to 65535.")
         if self.key is not None and len(self.key) < 16:
             raise SettingsError("UDFLOW_KEY is too short; use 16 characters or more.")
+        if not 0 < self.ttl_s <= self.max_ttl_s:
+            raise SettingsError("UDFLOW_TTL_S must be above 0 and at most UDFLOW_MAX_TTL_S.")
         if self.key is None and not _is_loopback(self.host):
             raise SettingsError(
                 f"Refusing to listen on {self.host} without a key: anyone who reaches the port "
@@ -73,6 +79,8 @@ def from_environment(environ: Mapping[str, str] = os.environ) -> ServiceSettings
         body_timeout_s=_whole(environ, "UDFLOW_BODY_TIMEOUT_S", 30),
         queue_limit=_whole(environ, "UDFLOW_QUEUE_LIMIT", 1000),
         min_free_bytes=_whole(environ, "UDFLOW_MIN_FREE_MB", 512) << 20,
+        ttl_s=_whole(environ, "UDFLOW_TTL_S", 7 * 24 * 3600),
+        max_ttl_s=_whole(environ, "UDFLOW_MAX_TTL_S", 90 * 24 * 3600),
     )
 
 

@@ -6,15 +6,13 @@ import hashlib
 from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from jobs.errors import IdempotencyConflict, QueueFull
 from jobs.ids import is_id
-from jobs.records import Created, Idempotency, Snapshot
+from jobs.records import Snapshot
 from jobs.spec import JobRecord, JobSpec, JobState
-from jobs.submission import submit
 from service.bodies import read_model
 from service.downloads import matches
 from service.ingest import is_form, received, store_scan
@@ -25,10 +23,9 @@ from service.problems import Problem, invalid
 from service.routes.scans import find_scan
 from service.schemas import Job, JobCreate, JobPage
 from service.services import Needs, Services
+from service.submitting import POLL_AFTER, IdempotencyKey, accepted, kept_for
 
 MAX_WAIT_S = 60.0
-POLL_AFTER = {"Retry-After": "1"}
-IdempotencyKey = Annotated[str | None, Header(min_length=1, max_length=255)]
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
@@ -55,12 +52,14 @@ async def create_job(
         # before the scan is looked for: a wrong parameter is told even if the id is wrong too
         complete_config(wish.preset, wish.config)
         await run_in_threadpool(_require_scan, wish.scan_id, services)
-    created = await run_in_threadpool(_submit, wish, idempotency_key, services)
-    view = await run_in_threadpool(job_view, created.record, services.records)
-    headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
-    if created.replayed:
-        headers["Idempotency-Replayed"] = "true"
-    return JSONResponse(view.model_dump(mode="json"), 202, headers)
+    spec = JobSpec.new(
+        wish.scan_id,
+        complete_config(wish.preset, wish.config),
+        dict(wish.metadata),
+        kept_for(wish.ttl_s, services),
+        wanted=tuple(wish.outputs),
+    )
+    return await accepted(spec, idempotency_key, wish.model_dump(mode="json"), services)
 
 
 async def _wish_with_file(request: Request, services: Services) -> JobCreate:
@@ -77,25 +76,6 @@ def _require_scan(scan_id: str, services: Services) -> None:
     except Problem as problem:
         problem.errors = (("#/scan_id", problem.code, problem.detail),)
         raise
-
-
-def _submit(wish: JobCreate, key: str | None, services: Services) -> Created:
-    config = complete_config(wish.preset, wish.config)
-    spec = JobSpec.new(wish.scan_id, config, dict(wish.metadata))
-    idempotency = None if key is None else Idempotency.of(key, wish.model_dump(mode="json"))
-    try:
-        return submit(
-            spec,
-            services.records,
-            services.store,
-            services.dispatcher,
-            idempotency=idempotency,
-            queue_limit=services.settings.queue_limit,
-        )
-    except IdempotencyConflict as error:
-        raise Problem("idempotency_conflict", str(error)) from error
-    except QueueFull as error:
-        raise Problem("queue_full", str(error), headers={"Retry-After": "30"}) from error
 
 
 @router.get(
@@ -161,33 +141,6 @@ async def _tagged(record: JobRecord, services: Services) -> tuple[dict[str, Any]
     view = await run_in_threadpool(job_view, record, services.records)
     text = view.model_dump_json()
     return view.model_dump(mode="json"), f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
-
-
-@router.post(
-    "/{job_id}/cancel",
-    operation_id="cancelJob",
-    summary="Stop a job",
-    status_code=202,
-    response_model=Job,
-    responses=problems(404, 409, 410, 503),
-)
-def cancel_job(job_id: str, services: Needs) -> Job:
-    """A waiting job is canceled at once, a running one becomes `canceling` and then `canceled`.
-
-    Asking again changes nothing. A job that ended otherwise answers 409 with its state.
-    """
-    record = services.records.request_cancel(job_id) if is_id("job", job_id) else None
-    if record is None:
-        raise unknown_job(job_id, services)
-    if record.is_terminal and record.state is not JobState.CANCELED:
-        raise Problem(
-            "job_finished",
-            f"The job has {record.state} already; there is nothing left to cancel.",
-            state=record.state,
-        )
-    if record.state is JobState.CANCELED:
-        services.dispatcher.withdraw(record.id, record.attempt)
-    return job_view(record, services.records)
 
 
 def find_job(job_id: str, services: Services) -> JobRecord:

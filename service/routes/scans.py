@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
@@ -16,6 +16,7 @@ from service.problems import Problem, invalid
 from service.schemas import Scan
 from service.services import Needs, Services
 
+Force = Annotated[bool, Query(description="even while it is used")]
 router = APIRouter(prefix="/v1/scans", tags=["scans"])
 
 
@@ -43,6 +44,37 @@ async def create_scan(request: Request, services: Needs) -> JSONResponse:
     headers = {"Location": f"/v1/scans/{manifest['id']}"}
     view = scan_view(manifest).model_dump(mode="json")
     return JSONResponse(view, 201 if created else 200, headers)
+
+
+@router.delete(
+    "/{scan_id}",
+    operation_id="deleteScan",
+    summary="Delete a scan",
+    status_code=204,
+    responses=problems(404, 409, 503),
+)
+def delete_scan(scan_id: str, services: Needs, force: Force = False) -> None:
+    """Removes the bytes of a scan; deleting again changes nothing.
+
+    While jobs for it wait or run the answer is 409, unless `force` is given: they are canceled.
+    """
+    try:
+        find_scan(scan_id, services)
+    except Problem as problem:
+        if problem.code == "gone":
+            return
+        raise
+    users = services.records.unfinished_with(scan_id)
+    if users and not force:
+        raise Problem(
+            "scan_in_use",
+            f"{len(users)} jobs for this scan wait or run; cancel them, or add ?force=true.",
+            jobs=users[:20],
+        )
+    for job_id in users:
+        services.records.request_cancel(job_id)
+    services.records.mark_gone(scan_id)
+    services.store.delete_scan(scan_id)
 
 
 @router.get(

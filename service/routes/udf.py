@@ -68,7 +68,7 @@ async def query_distances(
         size = await spool(request, udf_input.MAX_BINARY_BYTES, file)
         read = partial(read_question, file, size, request.headers, dtype, wanted)
         question = await services.fields.run(read)
-        field = await _load(stored, services.fields)
+        field = await load_stored(stored, services.fields)
         wire = _reply_wire(request, question)
         if wire == "json":
             body = await services.fields.run(partial(_json, field, question))
@@ -83,7 +83,12 @@ def _unlinked(folder: Path) -> Iterator[BinaryIO]:
         yield file
 
 
-async def _load(stored: ResultFile, fields: FieldCache) -> UnsignedDistanceField:
+async def load_stored(stored: ResultFile, fields: FieldCache) -> UnsignedDistanceField:
+    """The field in a result file.
+
+    Raises:
+        Problem: 500, it is damaged.
+    """
     try:
         return await fields.get(stored.path)
     except BadField as error:

@@ -1,0 +1,71 @@
+"""Queueing a job for a caller, and the answer that says so."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import Header
+from fastapi.responses import JSONResponse
+from starlette.concurrency import run_in_threadpool
+
+from jobs.errors import IdempotencyConflict, QueueFull, UnknownId
+from jobs.records import Created, Idempotency
+from jobs.spec import JobSpec
+from jobs.submission import submit
+from service.job_view import job_view
+from service.problems import Problem, invalid
+from service.services import Services
+
+POLL_AFTER = {"Retry-After": "1"}
+IdempotencyKey = Annotated[str | None, Header(min_length=1, max_length=255)]
+
+
+async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Services) -> JSONResponse:
+    """Queues the job; 202 with its address.
+
+    key: of the header Idempotency-Key; asked: JSON values that must be the same whenever the key
+    comes again.
+
+    Raises:
+        Problem: the key was used otherwise, its job is gone, or the queue is full.
+    """
+    created = await run_in_threadpool(_submitted, spec, key, asked, services)
+    view = await run_in_threadpool(job_view, created.record, services.records)
+    headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
+    if created.replayed:
+        headers["Idempotency-Replayed"] = "true"
+    return JSONResponse(view.model_dump(mode="json"), 202, headers)
+
+
+def _submitted(spec: JobSpec, key: str | None, asked: Any, services: Services) -> Created:
+    idempotency = None if key is None else Idempotency.of(key, asked)
+    try:
+        return submit(
+            spec,
+            services.records,
+            services.store,
+            services.dispatcher,
+            idempotency=idempotency,
+            queue_limit=services.settings.queue_limit,
+        )
+    except IdempotencyConflict as error:
+        raise Problem("idempotency_conflict", str(error)) from error
+    except UnknownId as error:
+        raise Problem("gone", f"{error}; use a new Idempotency-Key.") from error
+    except QueueFull as error:
+        raise Problem("queue_full", str(error), headers={"Retry-After": "30"}) from error
+
+
+def kept_for(ttl_s: float | None, services: Services) -> float:
+    """How long a job is kept after its end, as asked or by default.
+
+    Raises:
+        Problem: 422, longer than this server keeps anything.
+    """
+    settings = services.settings
+    if ttl_s is None:
+        return settings.ttl_s
+    if ttl_s > settings.max_ttl_s:
+        most = f"{settings.max_ttl_s:g}"
+        raise invalid("#/ttl_s", "invalid_value", f"ttl_s is {ttl_s:g}; choose up to {most}")
+    return ttl_s
