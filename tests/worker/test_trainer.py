@@ -23,6 +23,7 @@ FILES = {
     "points.ply",
     "field.safetensors",
     "report.json",
+    "preview.png",
 }
 
 
