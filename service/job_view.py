@@ -18,6 +18,7 @@ OUTPUT_PATHS = {
     "points.ply": "points",
     "field.safetensors": "field",
     "report.json": "report",
+    "preview.png": "preview.png",
 }
 
 

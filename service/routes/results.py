@@ -20,6 +20,7 @@ MEDIA_TYPES = {
     "stl": "model/stl",
     "safetensors": "application/octet-stream",
     "json": "application/json",
+    "png": "image/png",
 }
 MeshFormat = Annotated[Literal["ply", "glb", "obj", "stl"], Query(description="file format")]
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
@@ -92,6 +93,19 @@ def get_field(job_id: str, request: Request, services: Needs) -> Response:
 def get_report(job_id: str, request: Request, services: Needs) -> Response:
     """Parameters, seed, versions, timings and topology of the result, as JSON."""
     return _download(job_id, "report.json", request, services)
+
+
+@router.head("/preview.png", include_in_schema=False)
+@router.get(
+    "/preview.png",
+    operation_id="getPreview",
+    summary="A picture of the mesh",
+    response_class=Response,
+    responses=_answers(MEDIA_TYPES["png"]),
+)
+def get_preview(job_id: str, request: Request, services: Needs) -> Response:
+    """480 x 480 pixels, transparent around the mesh."""
+    return _download(job_id, "preview.png", request, services)
 
 
 def _download(job_id: str, name: str, request: Request, services: Services) -> Response:
