@@ -45,3 +45,8 @@ def idempotency(key_digest: str) -> str:
 def tombstone(some_id: str) -> str:
     """String, marks a deleted scan or job: TOMBSTONE_LIFE_S."""
     return f"udflow:gone:{some_id}"
+
+
+def costs(preset: str, kind: str) -> str:
+    """List, what the last finished jobs took: forever, of bounded length."""
+    return f"udflow:costs:{kind}:{preset}"

@@ -176,6 +176,34 @@ class Job(BaseModel):
     links: dict[str, str]
 
 
+class CostRange(BaseModel):
+    """Nine of ten jobs like it lie between `low` and `high`."""
+
+    expected: float
+    low: float
+    high: float
+
+
+class CostEstimate(BaseModel):
+    """Seconds of work, without the wait in the queue, and bytes of memory. `jobs` finished jobs
+    have taught it, 0 if it is only a reference machine's; `basis` says so in words."""
+
+    seconds: CostRange
+    memory_bytes: CostRange
+    jobs: int
+    basis: str
+
+
+class JobEstimate(BaseModel):
+    """The answer to `?validate_only=true`: the job would be taken, and what it would take."""
+
+    valid: Literal[True] = True
+    scan_id: str
+    config: dict[str, Any]
+    estimate: CostEstimate
+    jobs_ahead: int
+
+
 class JobPage(BaseModel):
     """Jobs, the newest first. Ask again with ?cursor=next_cursor until it is null."""
 

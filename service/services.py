@@ -29,7 +29,10 @@ from service.settings import ServiceSettings
 
 @dataclass(frozen=True)
 class Services:
-    """Shared by all requests; every part is safe to use from several threads."""
+    """Shared by all requests; every part is safe to use from several threads.
+
+    longest_run_s: what workers allow one attempt at a job.
+    """
 
     settings: ServiceSettings
     redis: redis.Redis
@@ -40,6 +43,7 @@ class Services:
     inspector: Inspector
     fields: FieldCache
     frames: SharedFrames
+    longest_run_s: float
 
 
 @asynccontextmanager
@@ -59,6 +63,7 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
         events=EventSource(records, events, hub),
         inspector=Inspector(settings),
         fields=FieldCache(),
+        longest_run_s=shared.job_timeout_s,
         frames=SharedFrames(AsyncPreviews(pictures)),
     )
     reader = asyncio.create_task(hub.run())

@@ -10,6 +10,7 @@ from typing import Literal, TypeVar
 
 import redis
 
+from jobs.costs import Costs
 from jobs.previews import Previews
 from jobs.records import JobRecords
 from jobs.settings import Settings
@@ -20,6 +21,7 @@ from udflow.config import from_dict
 from udflow.errors import Canceled, InvalidCloud
 from udflow.progress import Progress
 from udflow.reconstruct import Reconstruction, reconstruct_steps
+from worker.cost import remember_cost
 from worker.extraction import extract_again
 from worker.failure import TooLong, explain
 from worker.horse import choose_device, owner_name
@@ -69,6 +71,8 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
             store.delete_attempt(job_id, attempt)
             return
         _finish(job, outcome, records, store)
+        if outcome.state is JobState.SUCCEEDED:
+            remember_cost(job, store, watch.elapsed_s, Costs(connection))
 
 
 class Watch:
@@ -82,6 +86,11 @@ class Watch:
         self._lease = lease
         self._longest_s = longest_s
         self._began = time.monotonic()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the attempt began."""
+        return time.monotonic() - self._began
 
     def enough(self) -> bool:
         """Whether what is fitted so far is to be the result."""
@@ -100,7 +109,7 @@ class Watch:
 
     def _mind(self) -> None:
         self._lease.advance()
-        if time.monotonic() - self._began > self._longest_s:
+        if self.elapsed_s > self._longest_s:
             raise TooLong
 
 

@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from jobs.ids import is_id
 from jobs.spec import JobRecord, JobSpec, JobState
 from service.bodies import read_model
+from service.estimates import require_affordable
 from service.job_view import job_view
 from service.openapi import model_body, problems
 from service.problems import Problem
@@ -116,6 +117,8 @@ async def extract_again(
         box=(wish.box.low, wish.box.high) if wish.box else None,
         wanted=tuple(wish.outputs),
     )
+    scan = await run_in_threadpool(services.store.read_scan, record.scan_id) or {}
+    await run_in_threadpool(require_affordable, scan, spec.config, "extract", services)
     asked: dict[str, Any] = {"extract": record.id, **wish.model_dump(mode="json")}
     return await accepted(spec, idempotency_key, asked, services)
 

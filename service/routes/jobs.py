@@ -10,18 +10,20 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from jobs.costs import Estimate
 from jobs.ids import is_id
 from jobs.records import Snapshot
 from jobs.spec import JobRecord, JobSpec, JobState
 from service.bodies import read_model
 from service.downloads import matches
+from service.estimates import require_affordable, view
 from service.ingest import is_form, received, store_scan
 from service.job_request import complete_config, form_values
 from service.job_view import job_view
 from service.openapi import job_request_body, problems
 from service.problems import Problem, invalid
 from service.routes.scans import find_scan
-from service.schemas import Job, JobCreate, JobPage
+from service.schemas import Job, JobCreate, JobEstimate, JobPage
 from service.services import Needs, Services
 from service.submitting import POLL_AFTER, IdempotencyKey, accepted, kept_for
 
@@ -35,15 +37,20 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
     summary="Reconstruct a scan",
     status_code=202,
     response_model=Job,
-    responses=problems(400, 404, 408, 413, 415, 422, 429, 503, 507),
+    responses=problems(400, 404, 408, 410, 413, 415, 422, 429, 503, 507)
+    | {200: {"model": JobEstimate, "description": "With `validate_only`: what it would take"}},
     openapi_extra={"requestBody": job_request_body()},
 )
 async def create_job(
-    request: Request, services: Needs, idempotency_key: IdempotencyKey = None
+    request: Request,
+    services: Needs,
+    idempotency_key: IdempotencyKey = None,
+    validate_only: Annotated[bool, Query(description="estimate, and queue nothing")] = False,
 ) -> JSONResponse:
     """Queues a job for an uploaded scan (JSON), or uploads and queues in one go (form).
 
-    With an `Idempotency-Key` a repeated request is harmless: the first job comes back.
+    With an `Idempotency-Key` a repeated request is harmless: the first job comes back. With
+    `validate_only` nothing is queued, and the answer says what the job would take.
     """
     if is_form(request):
         wish = await _wish_with_file(request, services)
@@ -51,7 +58,7 @@ async def create_job(
         wish = await read_model(request, JobCreate)
         # before the scan is looked for: a wrong parameter is told even if the id is wrong too
         complete_config(wish.preset, wish.config)
-        await run_in_threadpool(_require_scan, wish.scan_id, services)
+    scan = await run_in_threadpool(_scan_of, wish.scan_id, services)
     spec = JobSpec.new(
         wish.scan_id,
         complete_config(wish.preset, wish.config),
@@ -59,7 +66,22 @@ async def create_job(
         kept_for(wish.ttl_s, services),
         wanted=tuple(wish.outputs),
     )
+    estimate = await run_in_threadpool(
+        require_affordable, scan, spec.config, "reconstruct", services
+    )
+    if validate_only:
+        return await run_in_threadpool(_estimate, spec, estimate, services)
     return await accepted(spec, idempotency_key, wish.model_dump(mode="json"), services)
+
+
+def _estimate(spec: JobSpec, estimate: Estimate, services: Services) -> JSONResponse:
+    found = JobEstimate(
+        scan_id=spec.scan_id,
+        config=spec.config,
+        estimate=view(estimate),
+        jobs_ahead=services.records.queue_length(),
+    )
+    return JSONResponse(found.model_dump(mode="json"))
 
 
 async def _wish_with_file(request: Request, services: Services) -> JobCreate:
@@ -70,9 +92,9 @@ async def _wish_with_file(request: Request, services: Services) -> JobCreate:
     return wish.model_copy(update={"scan_id": manifest["id"]})
 
 
-def _require_scan(scan_id: str, services: Services) -> None:
+def _scan_of(scan_id: str, services: Services) -> dict[str, Any]:
     try:
-        find_scan(scan_id, services)
+        return find_scan(scan_id, services)
     except Problem as problem:
         problem.errors = (("#/scan_id", problem.code, problem.detail),)
         raise

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import trimesh
 from shapes import Sphere
 from workshop import LONG, QUICK, Workshop
 
+from jobs import keys
+from jobs.costs import sample_of
 from jobs.spec import JobRecord, JobSpec, JobState
 from jobs.submission import submit
+from udflow.config import from_dict, to_dict
+from worker.calibrate import measured
 
 
 def radii(shop: Workshop, record: JobRecord) -> np.ndarray:
@@ -78,3 +83,24 @@ def test_the_field_may_be_gone_by_then(shop: Workshop) -> None:
     record = shop.reaches(offer(shop, spec), JobState.FAILED)
     assert record.error is not None
     assert record.error.code == "source_gone"
+
+
+def test_what_a_job_took_is_remembered(shop: Workshop) -> None:
+    config = to_dict(from_dict(QUICK))
+    shop.connection.delete(keys.costs("fast", "reconstruct"))
+    record = shop.reaches(shop.submit(config), JobState.SUCCEEDED)
+    key = keys.costs("fast", "reconstruct")
+    shop.until(lambda: shop.connection.llen(key) == 1, 10.0)
+    sample = sample_of(json.loads(shop.connection.lindex(key, 0)))
+    assert record.started_at is not None
+    assert record.finished_at is not None
+    lasted = record.finished_at - record.started_at
+    assert 0.3 * lasted < sample.seconds < 3 * lasted + 1
+    assert 100e6 < sample.memory < sample.machine_memory
+
+
+def test_calibration_measures_this_machine(own_shop: Workshop) -> None:
+    sample = measured(500, QUICK, "cpu")
+    assert 0 < sample.seconds < 60
+    assert sample.workload.resolution == 24
+    assert sample_of(json.loads(json.dumps(asdict(sample)))) == sample
