@@ -294,6 +294,14 @@ class JobRecords:
         ids = self._script(scripts.EXPIRED_LEASES)(keys=[keys.LEASES])
         return self._fetch(ids)
 
+    def scans_in_use(self) -> set[str]:
+        """Ids of the scans of all jobs that are known."""
+        ids = self._redis.zrange(keys.INDEX, 0, -1)
+        with self._redis.pipeline(transaction=False) as pipe:
+            for job_id in ids:
+                pipe.hget(keys.job(job_id), "scan_id")
+            return {scan_id for scan_id in pipe.execute() if scan_id}
+
     def past_retention(self, now: float) -> list[str]:
         """Ids of finished jobs whose time is over at Unix second `now`."""
         found: list[str] = self._redis.zrangebyscore(keys.EXPIRING, "-inf", now)

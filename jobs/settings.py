@@ -27,6 +27,8 @@ class Settings:
         partial_grace_s: the same when it is to keep a mesh of what is fitted so far.
     stall_s: a fit without any progress for so long counts as hung.
     job_timeout_s: longest run of one attempt; queue_ttl_s: longest wait in the queue.
+    upload_life_s: how long a resumable upload waits for its next bytes; scan_life_s: how long a
+        scan is kept that no job uses any more.
     device: where to fit; None takes the GPU if there is one.
     """
 
@@ -40,6 +42,8 @@ class Settings:
     stall_s: float = 300.0
     job_timeout_s: float = 4 * 3600.0
     queue_ttl_s: float = 24 * 3600.0
+    upload_life_s: float = 24 * 3600.0
+    scan_life_s: float = 30 * 24 * 3600.0
     device: str | None = None
 
     @classmethod
@@ -59,6 +63,8 @@ class Settings:
                 "stall_s",
                 "job_timeout_s",
                 "queue_ttl_s",
+                "upload_life_s",
+                "scan_life_s",
             )
             if f"UDFLOW_{name.upper()}" in environ
         }

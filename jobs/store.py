@@ -21,7 +21,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 from jobs.files import (
     TEMPORARY,
@@ -52,11 +52,19 @@ class Upload:
     Leaving the `with` block removes whatever was not added. size: bytes so far.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, mode: Literal["xb", "r+b"] = "xb") -> None:
         self.path = path
         self.size = 0
         self._hash = hashlib.sha256()
-        self._file = path.open("xb")
+        self._file = path.open(mode)
+
+    @classmethod
+    def of_file(cls, path: Path) -> Upload:
+        """Bytes that are on disk already. Raises OSError."""
+        upload = cls(path, mode="r+b")
+        upload._hash = hashlib.file_digest(upload._file, "sha256")  # type: ignore[arg-type]
+        upload.size = upload._file.tell()
+        return upload
 
     def write(self, piece: bytes) -> None:
         """Append. Raises OSError (errno ENOSPC when the disk is full)."""

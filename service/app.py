@@ -20,6 +20,7 @@ from service.routes import (
     slices,
     system,
     udf,
+    uploads,
 )
 from service.services import running
 from service.settings import ServiceSettings, from_environment
@@ -62,7 +63,7 @@ def create_app(settings: ServiceSettings | None = None, shared: Settings | None 
     )
     problems.install(app)
     for part in (
-        *(scans, samples, jobs, job_actions, events, results, udf, slices, system),
+        *(scans, uploads, samples, jobs, job_actions, events, results, udf, slices, system),
         page,
     ):
         app.include_router(part.router)

@@ -176,6 +176,18 @@ class Job(BaseModel):
     links: dict[str, str]
 
 
+class UploadState(BaseModel):
+    """A resumable upload. `scan` is what it became, `error` why it became none."""
+
+    id: str
+    filename: str
+    length: int
+    offset: int
+    expires_at: datetime
+    scan: Scan | None
+    error: JobFailure | None
+
+
 class CostRange(BaseModel):
     """Nine of ten jobs like it lie between `low` and `high`."""
 

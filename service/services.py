@@ -19,6 +19,7 @@ from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.signing import load_secret
 from jobs.store import FileStore
+from jobs.uploads import UploadStore
 from service.event_hub import EventHub
 from service.event_stream import EventSource
 from service.field_cache import FieldCache
@@ -38,6 +39,7 @@ class Services:
     redis: redis.Redis
     records: JobRecords
     store: FileStore
+    uploads: UploadStore
     dispatcher: Dispatcher
     events: EventSource
     inspector: Inspector
@@ -54,11 +56,13 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
     events = AsyncEvents(streams)
     hub = EventHub(events)
     records = JobRecords(connection, shared.lease_s)
+    store = FileStore(shared.data)
     services = Services(
         settings=settings,
         redis=connection,
         records=records,
-        store=FileStore(shared.data),
+        store=store,
+        uploads=UploadStore(store.root, shared.upload_life_s),
         dispatcher=Dispatcher(raw, load_secret(shared), shared.job_timeout_s),
         events=EventSource(records, events, hub),
         inspector=Inspector(settings),

@@ -21,6 +21,7 @@ from jobs.signing import load_secret
 from jobs.spec import JobRecord, JobState
 from jobs.store import FileStore
 from udflow.errors import UdflowError
+from worker.retention import Retention
 
 log = logging.getLogger("reaper")
 
@@ -43,6 +44,7 @@ class Reaper:
         self._records = records
         self._dispatcher = dispatcher
         self._store = store
+        self._retention = Retention(settings, records, store)
         self._undelivered: set[tuple[str, int]] = set()
         self._clean_at = 0.0
         self._temporary_at = 0.0
@@ -129,6 +131,7 @@ class Reaper:
             self._clean_at = now + _CLEAN_PERIOD_S
         if now >= self._temporary_at:
             self._store.sweep_temporary(_TEMPORARY_LIFE_S)
+            self._retention.sweep()
             self._temporary_at = now + _TEMPORARY_PERIOD_S
 
 
