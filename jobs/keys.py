@@ -13,6 +13,9 @@ QUEUED = "udflow:jobs:queued"  # sorted set by creation time; member leaves when
 LEASES = "udflow:jobs:leases"  # sorted set by end of lease; member leaves at the terminal state
 EXPIRING = "udflow:jobs:expiring"  # sorted set by end of retention; member leaves with its record
 
+WEBHOOKS = "udflow:webhooks"  # sorted set, "<job id>:<state>" by when to send; leaves when settled
+DELIVERIES_LIFE_S = 7 * 24 * 3600
+
 UNSAVED = "udflow:jobs:unsaved"  # set of ended jobs; member leaves when the reaper has saved it
 RESTORED = "udflow:restored"  # string; as long as this Redis remembers anything at all
 
@@ -45,6 +48,16 @@ def idempotency(key_digest: str) -> str:
 def tombstone(some_id: str) -> str:
     """String, marks a deleted scan or job: TOMBSTONE_LIFE_S."""
     return f"udflow:gone:{some_id}"
+
+
+def deliveries(job_id: str) -> str:
+    """List, what became of a job's webhooks: DELIVERIES_LIFE_S after the last."""
+    return f"udflow:job:{job_id}:deliveries"
+
+
+def webhook_tries(job_id: str) -> str:
+    """Hash, tries by state: DELIVERIES_LIFE_S after the last."""
+    return f"udflow:job:{job_id}:tries"
 
 
 def costs(preset: str, kind: str) -> str:

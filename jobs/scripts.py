@@ -5,7 +5,7 @@ passes its attempt number, and is refused unless the record still has it: a work
 job can waste time, never change a result. Time is the clock of Redis.
 """
 
-from jobs.keys import EVENTS_KEPT, EVENTS_LIFE_S, IDEMPOTENCY_LIFE_S, RECORD_MARGIN_S
+from jobs.keys import EVENTS_KEPT, EVENTS_LIFE_S, IDEMPOTENCY_LIFE_S, RECORD_MARGIN_S, WEBHOOKS
 
 # KEYS 1..7 and ARGV 1 are the same in every script.
 _PRELUDE = f"""
@@ -30,6 +30,13 @@ local function emit_state(kind, state, attempt, failure)
   emit(kind, cjson.encode(data))
 end
 
+local function announce(state)
+  local address = redis.call('HGET', JOB, 'webhook')
+  if address and address ~= '' then
+    redis.call('ZADD', '{WEBHOOKS}', stamp(now()), ID .. ':' .. state)
+  end
+end
+
 local function state_of(attempt)
   local found = redis.call('HMGET', JOB, 'state', 'attempt')
   if found[2] ~= attempt then return nil end
@@ -49,6 +56,7 @@ local function end_as(state, attempt, failure)
   redis.call('SADD', UNSAVED, ID)
   emit_state('state', state, attempt, failure)
   emit_state('end', state, attempt, failure)
+  announce(state)
   redis.call('EXPIRE', EVENTS, {EVENTS_LIFE_S})
   redis.call('EXPIRE', JOB, math.ceil(kept) + {RECORD_MARGIN_S})
 end
@@ -94,6 +102,7 @@ redis.call('HSET', JOB, 'state', 'running', 'owner', ARGV[3], 'device', ARGV[5],
 redis.call('ZREM', QUEUED, ID)
 redis.call('ZADD', LEASES, lease, ID)
 emit_state('state', 'running', ARGV[2], '')
+announce('running')
 return 1
 """
 )

@@ -29,6 +29,8 @@ class Settings:
     job_timeout_s: longest run of one attempt; queue_ttl_s: longest wait in the queue.
     upload_life_s: how long a resumable upload waits for its next bytes; scan_life_s: how long a
         scan is kept that no job uses any more.
+    webhook_secret: signs webhooks; None means that there are none. webhook_hosts: names of hosts
+        that may be called though they are not on the open internet, also without TLS.
     device: where to fit; None takes the GPU if there is one.
     """
 
@@ -44,6 +46,8 @@ class Settings:
     queue_ttl_s: float = 24 * 3600.0
     upload_life_s: float = 24 * 3600.0
     scan_life_s: float = 30 * 24 * 3600.0
+    webhook_secret: str | None = None
+    webhook_hosts: tuple[str, ...] = ()
     device: str | None = None
 
     @classmethod
@@ -72,6 +76,8 @@ class Settings:
             data=Path(environ.get("UDFLOW_DATA") or ".udflow"),
             redis_url=environ.get("REDIS_URL") or None,
             secret=environ.get("UDFLOW_SECRET") or None,
+            webhook_secret=environ.get("UDFLOW_WEBHOOK_SECRET") or None,
+            webhook_hosts=_names(environ.get("UDFLOW_WEBHOOK_HOSTS", "")),
             device=_device(environ.get("UDFLOW_DEVICE") or None),
             **durations,
         )
@@ -111,6 +117,10 @@ def _device(name: str | None) -> str | None:
     if name is not None and not re.fullmatch(r"cpu|cuda(:\d+)?", name):
         raise BadSetting(f'UDFLOW_DEVICE is {name!r}; choose "cpu", "cuda" or "cuda:0"')
     return name
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip().lower() for name in text.split(",") if name.strip())
 
 
 def _positive(name: str, environ: Mapping[str, str]) -> float:

@@ -72,6 +72,7 @@ def job_request_body() -> dict[str, Any]:
             "metadata": text | {"description": "JSON object"},
             "outputs": text | {"description": "JSON list"},
             "ttl_s": text,
+            "webhook": text,
         },
     }
     return {

@@ -79,6 +79,9 @@ class JobCreate(Strict):
     ttl_s: Annotated[float, Field(gt=0, le=1e9)] | None = Field(
         default=None, description="seconds to keep the job after its end"
     )
+    webhook: str | None = Field(
+        default=None, max_length=2048, description="https address to tell of the job's states"
+    )
 
 
 class Scan(BaseModel):
@@ -186,6 +189,23 @@ class UploadState(BaseModel):
     expires_at: datetime
     scan: Scan | None
     error: JobFailure | None
+
+
+class DeliveryState(BaseModel):
+    """One try to call a webhook. `status` is that of the answer, `error` why there was none."""
+
+    event: str
+    time: datetime
+    attempt: int
+    status: int | None
+    error: str | None
+    next_at: datetime | None
+
+
+class DeliveryList(BaseModel):
+    """The last tries, newest first."""
+
+    deliveries: list[DeliveryState]
 
 
 class CostRange(BaseModel):

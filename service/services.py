@@ -32,7 +32,8 @@ from service.settings import ServiceSettings
 class Services:
     """Shared by all requests; every part is safe to use from several threads.
 
-    longest_run_s: what workers allow one attempt at a job.
+    longest_run_s: what workers allow one attempt at a job; webhook_hosts: see `Settings`, None
+    where there are no webhooks.
     """
 
     settings: ServiceSettings
@@ -46,6 +47,7 @@ class Services:
     fields: FieldCache
     frames: SharedFrames
     longest_run_s: float
+    webhook_hosts: tuple[str, ...] | None
 
 
 @asynccontextmanager
@@ -68,6 +70,7 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
         inspector=Inspector(settings),
         fields=FieldCache(),
         longest_run_s=shared.job_timeout_s,
+        webhook_hosts=shared.webhook_hosts if shared.webhook_secret else None,
         frames=SharedFrames(AsyncPreviews(pictures)),
     )
     reader = asyncio.create_task(hub.run())

@@ -12,6 +12,7 @@ from jobs.errors import IdempotencyConflict, QueueFull, UnknownId
 from jobs.records import Created, Idempotency
 from jobs.spec import JobSpec
 from jobs.submission import submit
+from jobs.webhooks import refusal
 from service.job_view import job_view
 from service.problems import Problem, invalid
 from service.services import Services
@@ -69,3 +70,19 @@ def kept_for(ttl_s: float | None, services: Services) -> float:
         most = f"{settings.max_ttl_s:g}"
         raise invalid("#/ttl_s", "invalid_value", f"ttl_s is {ttl_s:g}; choose up to {most}")
     return ttl_s
+
+
+def callable_webhook(url: str | None, services: Services) -> str | None:
+    """The address to tell of a job's states.
+
+    Raises:
+        Problem: 422, there are no webhooks here, or the address is none that may be called.
+    """
+    if url is None:
+        return None
+    if services.webhook_hosts is None:
+        message = "webhooks are off here; follow the job's events, or set UDFLOW_WEBHOOK_SECRET"
+        raise invalid("#/webhook", "webhooks_off", message)
+    if (reason := refusal(url, services.webhook_hosts)) is not None:
+        raise invalid("#/webhook", "invalid_value", f"this address cannot be called: {reason}")
+    return url

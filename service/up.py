@@ -76,6 +76,7 @@ class Supervisor:
         self._front = front
         self._data = data
         self._server = server
+        self._settings = settings
         self._given_url = settings.redis_url
         self._embedded = None if settings.redis_url else EmbeddedRedis(data)
         self._environ = dict(environ) | {"UDFLOW_DATA": str(data), "PYTHONUNBUFFERED": "1"}
@@ -142,6 +143,8 @@ class Supervisor:
         python = (sys.executable, "-m")
         self._keep("worker", (*python, "worker"))
         self._keep("reaper", (*python, "worker.reaper"))
+        if self._settings.webhook_secret is not None:
+            self._keep("webhooks", (*python, "worker.webhooks"))
         self._environ["UDFLOW_LISTEN_FD"] = str(self._server.fileno())
         self._keep("api", (*python, "service.serve"), fds=(self._server.fileno(),))
         await self._ready()

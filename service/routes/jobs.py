@@ -25,7 +25,7 @@ from service.problems import Problem, invalid
 from service.routes.scans import find_scan
 from service.schemas import Job, JobCreate, JobEstimate, JobPage
 from service.services import Needs, Services
-from service.submitting import POLL_AFTER, IdempotencyKey, accepted, kept_for
+from service.submitting import POLL_AFTER, IdempotencyKey, accepted, callable_webhook, kept_for
 
 MAX_WAIT_S = 60.0
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -65,6 +65,7 @@ async def create_job(
         dict(wish.metadata),
         kept_for(wish.ttl_s, services),
         wanted=tuple(wish.outputs),
+        webhook=callable_webhook(wish.webhook, services),
     )
     estimate = await run_in_threadpool(
         require_affordable, scan, spec.config, "reconstruct", services

@@ -6,12 +6,15 @@ from typing import Any
 
 import httpx
 import pytest
+import redis
 from api_process import ball
 
+from jobs import keys
 from jobs.ids import new_id
 from jobs.records import JobRecords
 from jobs.spec import JobError, JobState
 from jobs.store import FileStore
+from jobs.webhooks import Delivery, WebhookQueue
 
 
 def code(answer: httpx.Response) -> tuple[int, str]:
@@ -188,3 +191,26 @@ def test_only_known_files_can_be_asked_for(scan: dict[str, Any], client: httpx.C
     body = {"scan_id": scan["id"], "outputs": ["mesh.glb", "mesh.step"]}
     answer = client.post("/v1/jobs", json=body)
     assert answer.json()["errors"][0]["pointer"] == "#/outputs/1"
+
+
+def test_webhooks_are_off_unless_configured(scan: dict[str, Any], client: httpx.Client) -> None:
+    body = {"scan_id": scan["id"], "webhook": "https://example.org/hook"}
+    answer = client.post("/v1/jobs", json=body)
+    assert code(answer) == (422, "invalid_request")
+    assert answer.json()["errors"][0] | {"message": ""} == {
+        "pointer": "#/webhook",
+        "code": "webhooks_off",
+        "message": "",
+    }
+
+
+def test_what_became_of_webhooks(
+    queued: str, client: httpx.Client, redis_client: redis.Redis
+) -> None:
+    assert client.get(f"/v1/jobs/{queued}/deliveries").json() == {"deliveries": []}
+    tried = Delivery("job.started", 1e9, 1, 503, None, 1e9 + 5)
+    WebhookQueue(redis_client).settle(queued, "running", tried)
+    (one,) = client.get(f"/v1/jobs/{queued}/deliveries").json()["deliveries"]
+    assert (one["event"], one["status"], one["attempt"]) == ("job.started", 503, 1)
+    assert (one["time"], one["next_at"]) == ("2001-09-09T01:46:40Z", "2001-09-09T01:46:45Z")
+    redis_client.zrem(keys.WEBHOOKS, f"{queued}:running")
