@@ -1,0 +1,73 @@
+/** What the page as a whole knows: where it is, how it looks, what the service can do. */
+
+import { effect, signal } from "@preact/signals";
+import {
+  getInfo,
+  getSamples,
+  type Info,
+  type Job,
+  listJobs,
+  Problem,
+  type SampleInfo,
+} from "../net/api";
+import { hashOf, type Route, routeOf } from "../pure/route";
+
+export type Theme = "system" | "light" | "dark";
+export type DialogName = "help" | "jobs" | "key" | "cancel" | null;
+
+const THEME = "udflow.theme";
+
+export const route = signal<Route>(routeOf(location.hash));
+export const theme = signal<Theme>((localStorage.getItem(THEME) as Theme | null) ?? "system");
+export const info = signal<Info | null>(null);
+export const samples = signal<SampleInfo[]>([]);
+export const jobs = signal<Job[]>([]);
+export const dialog = signal<DialogName>(null);
+/** What went wrong with the page as a whole, in words. */
+export const trouble = signal<string | null>(null);
+/** What a screen reader says next. */
+export const spoken = signal("");
+
+export const prefersStill = matchMedia("(prefers-reduced-motion: reduce)");
+export const prefersDark = matchMedia("(prefers-color-scheme: dark)");
+export const isPhone = matchMedia("(pointer: coarse) and (max-width: 900px)");
+
+/** Goes to a route, so that the back button leads back. */
+export function go(next: Route): void {
+  location.hash = hashOf(next);
+}
+
+export function setTheme(next: Theme): void {
+  theme.value = next;
+  localStorage.setItem(THEME, next);
+}
+
+/** Whether the page is dark now. */
+export function isDark(): boolean {
+  return theme.value === "dark" || (theme.value === "system" && prefersDark.matches);
+}
+
+/** What the start page needs. */
+export async function loadStart(): Promise<void> {
+  try {
+    [info.value, samples.value, jobs.value] = await Promise.all([
+      getInfo(),
+      getSamples(),
+      listJobs(24).then((page) => page.jobs),
+    ]);
+    trouble.value = null;
+  } catch (error) {
+    if (error instanceof Problem && error.status === 401) dialog.value = "key";
+    else trouble.value = (error as Error).message;
+  }
+}
+
+/** Follows address bar and theme from now on. */
+export function begin(): void {
+  addEventListener("hashchange", () => {
+    route.value = routeOf(location.hash);
+  });
+  effect(() => {
+    document.documentElement.dataset.theme = theme.value;
+  });
+}

@@ -1,0 +1,247 @@
+/** The picture and what lies over it. */
+
+import { effect, signal, untracked } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
+import { css } from "../pure/colormap";
+import { bounds } from "../pure/distance";
+import { length } from "../pure/format";
+import type { Frame } from "../pure/frame";
+import { heroFrame, heroPoints, heroRounds } from "../pure/hero";
+import { isDark, prefersDark, prefersStill, route, theme } from "../state/app";
+import { draft, preview } from "../state/draft";
+import { compared, frames, job, result, scan } from "../state/job";
+import * as look from "../state/look";
+import type { Vector } from "../viewer/space";
+import { type Look, Viewer } from "../viewer/viewer";
+import { Legends } from "./Legends";
+import { SplitHandle } from "./SplitHandle";
+import { Toolbar } from "./Toolbar";
+
+export const viewer = signal<Viewer | null>(null);
+const lost = signal(false);
+const unable = signal<string | null>(null);
+const HERO_STEP_MS = 170;
+const PALETTES = {
+  light: { background: "#f0eeea", ink: "#2c4350", plain: "#dcdbd6" },
+  dark: { background: "#0f1214", ink: "#a9bcc4", plain: "#b9bcbb" },
+};
+
+export function Stage() {
+  const canvas = useRef<HTMLCanvasElement>(null);
+  useEffect(() => (canvas.current ? attach(canvas.current) : undefined), []);
+  return (
+    <section class="stage" aria-label="3D view">
+      {/* biome-ignore lint/a11y/noInteractiveElementToNoninteractiveRole: what it is to its users */}
+      <canvas
+        ref={canvas}
+        tabIndex={0}
+        role="application"
+        aria-roledescription="3D viewer"
+        aria-label={labelOf()}
+        aria-describedby="viewer-help"
+      />
+      <p id="viewer-help" class="unseen">
+        Arrow keys turn the view, plus and minus zoom, F shows everything.
+      </p>
+      <Notice />
+      <SplitHandle />
+      <Readout />
+      <Legends />
+      <Toolbar />
+    </section>
+  );
+}
+
+function labelOf(): string {
+  const current = job.value;
+  if (result.value) return "The mesh that was made";
+  if (current) return `The growing cloud, ${current.points ?? 0} points`;
+  return preview.value ? `Preview of ${preview.value.total} points` : "A shell made of points";
+}
+
+function Notice() {
+  const words = unable.value ?? (lost.value ? "The graphics card was lost. Waiting for it…" : null);
+  return words && <p class="notice">{words}</p>;
+}
+
+/** The distance under the pointer. */
+function Readout() {
+  const found = look.hover.value;
+  if (!found) return null;
+  return (
+    <output class="readout" style={{ left: `${found.x}px`, top: `${found.y}px` }}>
+      {length(found.value)}
+    </output>
+  );
+}
+
+/** Makes the viewer and keeps it showing what the state says. */
+function attach(canvas: HTMLCanvasElement): (() => void) | undefined {
+  let made: Viewer;
+  try {
+    made = new Viewer(canvas, () => prefersStill.matches);
+  } catch {
+    unable.value = "This browser cannot draw in 3D (no WebGL 2). Everything else works.";
+    return undefined;
+  }
+  made.onHover = (found) => {
+    look.hover.value = found;
+  };
+  made.onLost = (gone) => {
+    lost.value = gone;
+  };
+  viewer.value = made;
+  const repaint = () => made.setPalette(PALETTES[isDark() ? "dark" : "light"]);
+  prefersDark.addEventListener("change", repaint);
+  const stops = [
+    effect(() => {
+      void theme.value;
+      repaint();
+    }),
+    showHero(made),
+    showDraft(made),
+    showJob(made),
+    effect(() => made.setLook(lookNow())),
+    effect(() => made.setMap(look.map.value)),
+  ];
+  return () => {
+    for (const stop of stops) stop();
+    prefersDark.removeEventListener("change", repaint);
+    viewer.value = null;
+    made.dispose();
+  };
+}
+
+/** The shell of the start page, round by round. */
+function showHero(made: Viewer): () => void {
+  let timer = 0;
+  const stop = effect(() => {
+    clearTimeout(timer);
+    if (route.value.page !== "start" || draft.value) return;
+    made.clear();
+    made.setBounds([-0.5, -0.34, -0.46], [0.5, 0.34, 0.5]);
+    const grow = (round: number) => {
+      made.showFrame(heroFrame(round), heroPoints);
+      if (round < heroRounds) timer = window.setTimeout(() => grow(round + 1), HERO_STEP_MS);
+    };
+    grow(prefersStill.matches ? heroRounds : 0);
+  });
+  return () => {
+    clearTimeout(timer);
+    stop();
+  };
+}
+
+function showDraft(made: Viewer): () => void {
+  return effect(() => {
+    if (!draft.value) return;
+    made.clear();
+    const found = preview.value;
+    if (!found) return;
+    made.setBounds(found.low, found.high);
+    made.showCloud({ ...found, scale: 1 });
+  });
+}
+
+function showJob(made: Viewer): () => void {
+  let shownJob = "";
+  let seen = 0;
+  let bounded = false;
+  const bound = (low: Vector, high: Vector) => {
+    if (!bounded) made.setBounds(low, high);
+    bounded = true;
+  };
+  const stops = [
+    effect(() => {
+      const found = route.value;
+      const id = found.page === "job" ? found.id : "";
+      if (id === shownJob) return;
+      shownJob = id;
+      seen = 0;
+      bounded = false;
+      if (id) made.clear();
+    }),
+    effect(() => {
+      const about = scan.value;
+      if (about) bound(about.low, about.high);
+    }),
+    effect(() => {
+      const { points, mesh } = frames.value;
+      const newest = [points, mesh]
+        .filter((frame): frame is Frame => frame !== null && frame.sequence > seen)
+        .sort((first, second) => first.sequence - second.sequence);
+      if (untracked(() => result.value) || newest.length === 0) return;
+      const target = untracked(() => job.value?.config.densify?.target_points ?? 0);
+      for (const frame of newest) {
+        seen = Math.max(seen, frame.sequence);
+        if (!bounded) bound(...boundsOf(frame));
+        made.showFrame(frame, Math.max(target, frame.total));
+      }
+    }),
+    effect(() => {
+      const found = result.value;
+      if (!found) return;
+      const { mesh, cloud, measured } = found;
+      const box = bounds(cloud.positions);
+      const shifted = (corner: Vector) =>
+        corner.map((value, i) => value + cloud.origin[i]) as unknown as Vector;
+      bound(shifted(box.low), shifted(box.high));
+      const born = new Uint8Array(cloud.positions.length / 3).fill(1, measured);
+      made.showCloud({ ...cloud, scale: 1, born });
+      const positions = cloud.positions.slice(0, 3 * measured);
+      const colors = cloud.colors?.slice(0, 3 * measured) ?? null;
+      made.showInput({ positions, colors, origin: cloud.origin, scale: 1 });
+      made.showMesh({ ...mesh, scale: 1 });
+      look.shown.value = "mesh";
+    }),
+    effect(() => {
+      const found = compared.value;
+      if (found) made.setDistances(found.values, look.heatTop.value);
+    }),
+    effect(() => {
+      const found = look.slice.value;
+      if (!found) return;
+      const axis = "xyz".indexOf(untracked(() => look.sliceAxis.value));
+      look.sliceScale.value = made.showSlice(found, axis, found.first[axis]);
+    }),
+  ];
+  return () => {
+    for (const stop of stops) stop();
+  };
+}
+
+/** The box of a frame: its codes span it, but only along its longest side. */
+function boundsOf(frame: Frame): [Vector, Vector] {
+  const { low, high } = bounds(frame.positions);
+  const corner = (codes: Vector) =>
+    codes.map((value, i) => frame.origin[i] + (frame.scale * value) / 65535) as unknown as Vector;
+  return [corner(low), corner(high)];
+}
+
+function lookNow(): Look {
+  const isResult = result.value !== null;
+  const isRunning = route.value.page === "job" && !isResult;
+  const isHero = route.value.page === "start" && !draft.value;
+  const hasColors = (preview.value?.hasColors || scan.value?.has_colors) ?? false;
+  const inColor = look.scanColors.value && hasColors;
+  const heat = look.heat.value && compared.value !== null;
+  const shown = look.shown.value;
+  return {
+    points: shown !== "mesh" || heat,
+    mesh: shown !== "points" && !isHero,
+    wireframe: look.wireframe.value,
+    flat: look.flat.value,
+    meshColors:
+      look.meshColors.value === "plain" && inColor && isResult ? "scan" : look.meshColors.value,
+    pointColors: heat ? "distance" : isHero || isRunning ? "round" : inColor ? "scan" : "ink",
+    slice: look.slicing.value && isResult,
+    split: isResult ? look.split.value : null,
+  };
+}
+
+/** CSS of the ink that measured points are drawn in. */
+export function inkNow(): string {
+  return PALETTES[isDark() ? "dark" : "light"].ink;
+}
+
+export { css };

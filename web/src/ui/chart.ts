@@ -1,0 +1,41 @@
+/** The loss chart; loaded when there is something to draw. */
+
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+
+const HEIGHT = 132;
+
+export function lossChart(host: HTMLElement, data: uPlot.AlignedData): uPlot {
+  const style = getComputedStyle(host);
+  const soft = style.getPropertyValue("--soft").trim();
+  const line = style.getPropertyValue("--line").trim();
+  const accent = style.getPropertyValue("--accent").trim();
+  const font = "11px 'IBM Plex Mono', monospace";
+  const axis = { stroke: soft, font, grid: { stroke: line, width: 1 }, ticks: { show: false } };
+  return new uPlot(
+    {
+      width: host.clientWidth,
+      height: HEIGHT,
+      padding: [8, 6, 0, 0],
+      legend: { show: false },
+      cursor: { drag: { x: false, y: false }, points: { size: 6 } },
+      scales: { x: { time: false }, y: { distr: 3, range: widened } },
+      axes: [
+        { ...axis, size: 24, gap: 4, values: (_, ticks) => ticks.map((value) => `${value} s`) },
+        { ...axis, size: 58, gap: 6, values: (_, ticks) => ticks.map(short) },
+      ],
+      series: [{}, { stroke: accent, width: 1.5, points: { size: 5, fill: accent } }],
+    },
+    data,
+    host,
+  );
+}
+
+/** A little room above and below, so that an even loss is a line in the middle. */
+function widened(_: uPlot, low: number, high: number): [number, number] {
+  return [low / 1.3, high * 1.3];
+}
+
+function short(value: number | null): string {
+  return value === null ? "" : value.toExponential(1).replace(".0e", "e");
+}

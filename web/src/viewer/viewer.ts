@@ -1,0 +1,398 @@
+/** The picture: a scan, what grows from it, the mesh, a slice. Draws only when something changed. */
+
+import {
+  Box3,
+  Color,
+  ColorManagement,
+  DataTexture,
+  LinearFilter,
+  LinearSRGBColorSpace,
+  PerspectiveCamera,
+  Raycaster,
+  Scene,
+  Vector2,
+  Vector3,
+  Vector4,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { type MapName, table } from "../pure/colormap";
+import type { Frame } from "../pure/frame";
+import type { Slice } from "../pure/slice";
+import { type CloudData, type PointColors, PointsLayer } from "./points";
+import { Relief } from "./relief";
+import { SliceLayer } from "./slice";
+import { type Space, spaceOf, type Vector } from "./space";
+import { type MeshColors, type MeshData, SurfaceLayer } from "./surface";
+
+export interface Look {
+  points: boolean;
+  mesh: boolean;
+  wireframe: boolean;
+  flat: boolean;
+  meshColors: MeshColors;
+  pointColors: PointColors;
+  slice: boolean;
+  /** Where input and result meet, 0 to 1 of the width; null shows both together. */
+  split: number | null;
+}
+
+export interface Palette {
+  background: string;
+  ink: string;
+  plain: string;
+}
+
+export interface Hover {
+  value: number;
+  at: Vector;
+  x: number;
+  y: number;
+}
+
+const FADE_MS = 900;
+const FRAMED = 0.8; // of the smaller side that the data fills
+const HOME = new Vector3(-0.52, -1, 0.46).normalize();
+
+ColorManagement.enabled = false; // all colours here are as the screen shows them
+
+export class Viewer {
+  onHover: (hover: Hover | null) => void = () => {};
+  onLost: (lost: boolean) => void = () => {};
+  private readonly renderer: WebGLRenderer;
+  private readonly scene = new Scene();
+  private readonly camera = new PerspectiveCamera(30, 1, 0.01, 20);
+  private readonly controls: OrbitControls;
+  private readonly relief = new Relief();
+  private readonly ramp = new DataTexture(table("viridis"), 256, 1);
+  private readonly cloud = new PointsLayer(this.ramp);
+  private readonly input = new PointsLayer(this.ramp);
+  private readonly surface = new SurfaceLayer();
+  private readonly slice = new SliceLayer(this.ramp);
+  private readonly watching: ResizeObserver;
+  private space: Space = { centre: [0, 0, 0], extent: 1 };
+  private box = new Box3(new Vector3(-0.5, -0.5, -0.5), new Vector3(0.5, 0.5, 0.5));
+  private clipAxis: { axis: number; at: number } | null = null;
+  private look: Look = {
+    points: true,
+    mesh: true,
+    wireframe: false,
+    flat: false,
+    meshColors: "plain",
+    pointColors: "ink",
+    slice: false,
+    split: null,
+  };
+  private scheduled = 0;
+  private bornAt = 0;
+  private arrivedAt: number | null = null;
+  private hasMoved = false;
+
+  /** @throws Error where the browser has no WebGL 2. */
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly still: () => boolean,
+  ) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "low-power" });
+    this.renderer.outputColorSpace = LinearSRGBColorSpace;
+    this.renderer.autoClear = false;
+    this.ramp.minFilter = LinearFilter;
+    this.ramp.magFilter = LinearFilter;
+    this.ramp.needsUpdate = true;
+    const layers = [this.input, this.cloud, this.surface, this.slice];
+    this.scene.add(...layers.map((layer) => layer.object));
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.addEventListener("change", () => this.invalidate());
+    this.controls.addEventListener("start", () => {
+      this.hasMoved = true;
+    });
+    canvas.addEventListener("webglcontextlost", this.lost);
+    canvas.addEventListener("webglcontextrestored", this.restored);
+    canvas.addEventListener("pointermove", this.hover);
+    canvas.addEventListener("pointerleave", () => this.onHover(null));
+    this.watching = new ResizeObserver(() => this.resize());
+    this.watching.observe(canvas.parentElement ?? canvas);
+    this.frame();
+  }
+
+  /** Makes place for data in this box, in world coordinates. */
+  setBounds(low: Vector, high: Vector): void {
+    this.space = spaceOf(low, high);
+    const half = high.map((value, i) => (value - low[i]) / 2 / this.space.extent);
+    this.box = new Box3(
+      new Vector3(...half.map((value) => -value)),
+      new Vector3(...(half as [number, number, number])),
+    );
+    if (!this.hasMoved) this.frame();
+    this.invalidate();
+  }
+
+  /** Takes everything away. */
+  clear(): void {
+    for (const layer of [this.cloud, this.input, this.surface, this.slice]) {
+      layer.object.visible = false;
+    }
+    this.cloud.count = 0;
+    this.input.count = 0;
+    this.surface.triangles = 0;
+    this.clipAxis = null;
+    this.hasMoved = false;
+    this.apply();
+  }
+
+  /** The scan itself, or the points of a finished job. */
+  showCloud(data: CloudData): void {
+    this.cloud.uniforms.newest.value = 0;
+    this.cloud.show(data, this.space);
+    this.apply();
+  }
+
+  /** The measured points alone, for heat map and split view. */
+  showInput(data: CloudData): void {
+    this.input.show(data, this.space);
+    this.apply();
+  }
+
+  showMesh(data: MeshData): void {
+    this.surface.show(data, this.space);
+    this.apply();
+  }
+
+  /** A preview of a running fit. */
+  showFrame(frame: Frame, room: number): void {
+    this.arrivedAt = performance.now();
+    if (frame.kind === "mesh") {
+      this.surface.show({ ...frame, positions: frame.positions.slice() }, this.space);
+    } else {
+      this.cloud.show(frame, this.space, room);
+      this.cloud.uniforms.rounds.value = frame.rounds;
+      if (frame.round > this.cloud.uniforms.newest.value) this.bornAt = performance.now();
+      this.cloud.uniforms.newest.value = frame.round;
+    }
+    this.apply();
+  }
+
+  showSlice(slice: Slice, axis: number, at: number): { top: number; step: number } {
+    const scale = this.slice.show(slice, this.space);
+    this.clipAxis = { axis, at: (at - this.space.centre[axis]) / this.space.extent };
+    this.apply();
+    return scale;
+  }
+
+  /** Distances of the measured points; colours reach from 0 to `top`. */
+  setDistances(values: Float32Array, top: number): void {
+    this.input.setValues(values, top);
+    this.invalidate();
+  }
+
+  setLook(look: Look): void {
+    this.look = look;
+    this.apply();
+  }
+
+  setMap(name: MapName): void {
+    (this.ramp.image.data as Uint8Array).set(table(name));
+    this.ramp.needsUpdate = true;
+    this.invalidate();
+  }
+
+  setPalette(palette: Palette): void {
+    this.renderer.setClearColor(new Color(palette.background), 1);
+    const ink = new Color(palette.ink);
+    const vector = new Vector3(ink.r, ink.g, ink.b);
+    for (const layer of [this.cloud, this.input]) layer.uniforms.ink.value = vector;
+    this.surface.ink = vector;
+    const plain = new Color(palette.plain);
+    this.surface.uniforms.plain.value = new Vector3(plain.r, plain.g, plain.b);
+    this.invalidate();
+  }
+
+  /** Stands where all of the data is seen. */
+  frame(): void {
+    const towards = HOME;
+    const right = new Vector3(0, 0, 1).cross(towards).normalize();
+    const up = towards.clone().cross(right);
+    const tall = Math.tan((this.camera.fov * Math.PI) / 360) * FRAMED;
+    const wide = tall * this.camera.aspect;
+    let distance = 0.1;
+    for (let corner = 0; corner < 8; corner++) {
+      const at = new Vector3(
+        corner & 1 ? this.box.max.x : this.box.min.x,
+        corner & 2 ? this.box.max.y : this.box.min.y,
+        corner & 4 ? this.box.max.z : this.box.min.z,
+      );
+      const needed = Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(up)) / tall);
+      distance = Math.max(distance, needed + at.dot(towards));
+    }
+    this.controls.target.set(0, 0, 0);
+    this.camera.position.copy(towards).multiplyScalar(distance);
+    this.controls.update();
+    this.hasMoved = false;
+    this.invalidate();
+  }
+
+  /** Keyboard: turns by degrees, and comes nearer by a factor. */
+  move(turn: number, tilt: number, nearer: number): void {
+    const away = this.camera.position.clone().sub(this.controls.target);
+    const flat = Math.hypot(away.x, away.y);
+    const azimuth = Math.atan2(away.y, away.x) + (turn * Math.PI) / 180;
+    const elevation = Math.atan2(away.z, flat) + (tilt * Math.PI) / 180;
+    const capped = Math.min(Math.max(elevation, -1.5), 1.5);
+    const reach = away.length() * nearer;
+    this.camera.position
+      .set(
+        Math.cos(azimuth) * Math.cos(capped),
+        Math.sin(azimuth) * Math.cos(capped),
+        Math.sin(capped),
+      )
+      .multiplyScalar(reach)
+      .add(this.controls.target);
+    this.hasMoved = true;
+    this.controls.update();
+    this.invalidate();
+  }
+
+  invalidate(): void {
+    if (!this.scheduled) this.scheduled = requestAnimationFrame(this.draw);
+  }
+
+  dispose(): void {
+    cancelAnimationFrame(this.scheduled);
+    this.watching.disconnect();
+    this.controls.dispose();
+    for (const layer of [this.cloud, this.input, this.surface, this.slice]) layer.dispose();
+    this.relief.dispose();
+    this.ramp.dispose();
+    this.renderer.dispose();
+  }
+
+  private readonly draw = (now: number): void => {
+    this.scheduled = 0;
+    this.dots();
+    this.animate(now);
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    this.camera.near = Math.max(0.005, distance - 3);
+    this.camera.far = distance + 3;
+    this.camera.updateProjectionMatrix();
+    this.clip();
+    this.surface.uniforms.back.value = this.camera.matrixWorld;
+    const { target } = this.relief;
+    target.scissorTest = false;
+    this.renderer.setRenderTarget(target);
+    this.renderer.clear();
+    if (this.look.split === null) this.renderer.render(this.scene, this.camera);
+    else this.drawSplit(target.width, target.height, this.look.split);
+    this.relief.draw(this.renderer, this.camera);
+    if (this.arrivedAt !== null) {
+      performance.measure("udflow:frame-to-draw", { start: this.arrivedAt });
+      this.arrivedAt = null;
+    }
+  };
+
+  private drawSplit(width: number, height: number, share: number): void {
+    const { target } = this.relief;
+    const at = Math.round(width * share);
+    target.scissorTest = true;
+    const halves = [
+      { from: 0, to: at, input: true },
+      { from: at, to: width, input: false },
+    ];
+    for (const { from, to, input } of halves) {
+      target.scissor.set(from, 0, to - from, height);
+      this.renderer.setRenderTarget(target);
+      this.input.object.visible = input;
+      this.surface.object.visible = !input;
+      this.renderer.render(this.scene, this.camera);
+    }
+    target.scissorTest = false;
+  }
+
+  private animate(now: number): void {
+    const age = (now - this.bornAt) / FADE_MS;
+    const share = this.still() ? 1 : Math.min(Math.max(age, 0), 1);
+    this.cloud.uniforms.fade.value = 1 - (1 - share) ** 3;
+    if (share < 1 && this.cloud.object.visible) this.invalidate();
+  }
+
+  /** Sizes of the dots: they cover the surface about as far as they are apart. */
+  private dots(): void {
+    const { height } = this.relief.target;
+    const scale = height / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
+    for (const layer of [this.cloud, this.input]) {
+      const apart = Math.sqrt(2.2 / Math.max(layer.count, 500));
+      layer.uniforms.dot_size.value = 0.36 * apart * scale;
+      layer.uniforms.most_size.value = 9 * this.renderer.getPixelRatio();
+    }
+  }
+
+  /** With a slice, the half towards the viewer is cut away. */
+  private clip(): void {
+    const clip = new Vector4(0, 0, 0, 1);
+    if (this.look.slice && this.clipAxis) {
+      const { axis, at } = this.clipAxis;
+      const side = this.camera.position.getComponent(axis) >= at ? 1 : -1;
+      clip.setComponent(axis, side);
+      clip.w = side * at + 1e-4;
+    }
+    for (const layer of [this.cloud, this.input, this.surface]) {
+      layer.uniforms.clip.value.copy(clip);
+    }
+  }
+
+  private apply(): void {
+    const { look } = this;
+    const alone = look.pointColors === "distance" && this.input.count > 0;
+    this.input.object.visible = look.points && alone;
+    this.cloud.object.visible =
+      look.points && !alone && this.cloud.count > 0 && look.split === null;
+    this.surface.object.visible = look.mesh && this.surface.triangles > 0;
+    this.slice.object.visible = look.slice && this.clipAxis !== null;
+    this.cloud.mode = look.pointColors;
+    this.input.mode = look.pointColors === "round" ? "ink" : look.pointColors;
+    this.surface.mode = look.meshColors;
+    this.surface.wireframe = look.wireframe;
+    this.surface.uniforms.flat_faces.value = look.flat ? 1 : 0;
+    this.invalidate();
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement ?? this.canvas;
+    if (width === 0 || height === 0) return;
+    const most = matchMedia("(pointer: coarse)").matches ? 1.5 : 2;
+    const ratio = Math.min(devicePixelRatio, most);
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(width, height, false);
+    this.relief.setSize(Math.round(width * ratio), Math.round(height * ratio), ratio);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    if (this.hasMoved) this.invalidate();
+    else this.frame();
+  }
+
+  private readonly hover = (event: PointerEvent): void => {
+    if (!this.look.slice) return;
+    const box = this.canvas.getBoundingClientRect();
+    const [x, y] = [event.clientX - box.left, event.clientY - box.top];
+    const caster = new Raycaster();
+    caster.setFromCamera(
+      new Vector2((2 * x) / box.width - 1, 1 - (2 * y) / box.height),
+      this.camera,
+    );
+    const found = this.slice.valueAt(caster.ray, this.space);
+    this.onHover(found && { ...found, x, y });
+  };
+
+  private readonly lost = (event: Event): void => {
+    event.preventDefault(); // else it never comes back
+    cancelAnimationFrame(this.scheduled);
+    this.scheduled = -1;
+    this.onLost(true);
+  };
+
+  private readonly restored = (): void => {
+    this.scheduled = 0;
+    this.onLost(false);
+    this.invalidate();
+  };
+}
