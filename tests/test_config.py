@@ -88,6 +88,10 @@ def test_figures_taken_from_the_paper() -> None:
         ({"densify": {"threshold": "small"}}, "densify.threshold must be a number"),
         ({"densify": {"threshold": True}}, "densify.threshold must be a number"),
         ({"extract": {"extractor": "magic"}}, 'choose "edges" or "cap"'),
+        ({"field": "grid"}, 'unknown field "grid"; choose one of: spline, mlp, cap-udf'),
+        ({"densify": {"guard": "all"}}, 'choose "support" or "none"'),
+        ({"network": {"skips": 4}}, "network.skips must be a list of whole numbers, not 4"),
+        ({"network": {"film": [0, 1.5]}}, "network.film must be a list of whole numbers"),
         ({"extract": {"extractor": 1}}, "extract.extractor must be a string"),
     ],
 )
@@ -103,7 +107,7 @@ LIMITS: list[tuple[type, str, list[Any], list[Any]]] = [
     (SplineConfig, "smoothness", [1e-9, 1e3, None], [0.0, -1.0, 1001.0, math.inf, math.nan]),
     (DensifyConfig, "target_points", [0, 5_000_000], [-1, 5_000_001]),
     (DensifyConfig, "points_per_round", [100, 1_000_000], [0, 99, 1_000_001]),
-    (DensifyConfig, "threshold", [1e-9, 0.1], [0.0, 0.11, math.inf, math.nan]),
+    (DensifyConfig, "threshold", [1e-9, 0.1, None], [0.0, -0.005, 0.11, math.inf, math.nan]),
     (ExtractConfig, "resolution", [16, MAX_RESOLUTION], [15, MAX_RESOLUTION + 1, 100_000]),
     (Config, "seed", [0, 2**63 - 1], [-1, 2**63]),
 ]
@@ -116,7 +120,12 @@ def fields_of(kind: type) -> Iterator[str]:
 
 
 def test_every_number_has_its_limits_tested() -> None:
-    words = {(Config, "preset"), (ExtractConfig, "extractor")}
+    words = {
+        (Config, "preset"),
+        (Config, "field"),
+        (DensifyConfig, "guard"),
+        (ExtractConfig, "extractor"),
+    }
     kinds = (Config, FlowConfig, SplineConfig, DensifyConfig, ExtractConfig)
     every = {(kind, name) for kind in kinds for name in fields_of(kind)}
     assert every - words == {(kind, name) for kind, name, _, _ in LIMITS}

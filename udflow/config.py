@@ -7,38 +7,30 @@ This module imports no torch, so that a client or a request schema can use it.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
-from udflow.errors import InvalidConfig
+from udflow.checked import Strict, require
+from udflow.neural_config import NetworkConfig, TrainingConfig
 
 MAX_RESOLUTION = 1024
 Extractor = Literal["edges", "cap"]
-
-
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise InvalidConfig(message)
-
-
-class _Strict:
-    """Unknown keys are refused wherever pydantic builds one of these objects."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+Guard = Literal["support", "none"]
+FieldKind = Literal["spline", "mlp", "cap-udf"]
 
 
 @dataclass(frozen=True)
-class FlowConfig(_Strict):
+class FlowConfig(Strict):
     """Trajectories. steps: K of the paper's time schedule."""
 
     steps: int = 5
 
     def __post_init__(self) -> None:
-        _require(1 <= self.steps <= 100, f"flow.steps is {self.steps}; choose 1 to 100 (paper: 5)")
+        require(1 <= self.steps <= 100, f"flow.steps is {self.steps}; choose 1 to 100 (paper: 5)")
 
 
 @dataclass(frozen=True)
-class SplineConfig(_Strict):
+class SplineConfig(Strict):
     """The spline energy and its linear solve.
 
     resolution: cells of the finest grid along the largest extent; None chooses it from the
@@ -51,12 +43,12 @@ class SplineConfig(_Strict):
 
     def __post_init__(self) -> None:
         if self.resolution is not None:
-            _require(
+            require(
                 8 <= self.resolution <= 512,
                 f"spline.resolution is {self.resolution}; choose 8 to 512, or null for automatic",
             )
         if self.smoothness is not None:
-            _require(
+            require(
                 0.0 < self.smoothness <= 1e3,
                 f"spline.smoothness is {self.smoothness}; choose a positive number up to 1000, "
                 "or null for automatic",
@@ -64,36 +56,43 @@ class SplineConfig(_Strict):
 
 
 @dataclass(frozen=True)
-class DensifyConfig(_Strict):
+class DensifyConfig(Strict):
     """Iterative densification, equation (9).
 
     target_points: stop at this many points; clouds that have as many are left alone.
     points_per_round: points added before the field is fitted again (paper: 2 000).
-    threshold: epsilon, keep a projected point only where the field is below it.
+    threshold: epsilon, keep a projected point only where the field is below it; null keeps all.
+    guard: "support" also wants measured points around it, so that nothing grows over a rim; "none"
+        is the paper's way.
     """
 
     target_points: int = 30_000
     points_per_round: int = 15_000
-    threshold: float = 0.005
+    threshold: float | None = 0.005
+    guard: Guard = "support"
 
     def __post_init__(self) -> None:
-        _require(
+        require(
             0 <= self.target_points <= 5_000_000,
             f"densify.target_points is {self.target_points}; choose 0 (off) to 5000000",
         )
-        _require(
+        require(
             100 <= self.points_per_round <= 1_000_000,
             f"densify.points_per_round is {self.points_per_round}; choose 100 to 1000000",
         )
-        _require(
-            0.0 < self.threshold <= 0.1,
+        require(
+            self.threshold is None or 0.0 < self.threshold <= 0.1,
             f"densify.threshold is {self.threshold}; choose a length above 0 and up to 0.1 "
-            "(paper: 0.005)",
+            "(paper: 0.005), or null to keep every point",
+        )
+        require(
+            self.guard in ("support", "none"),
+            f'densify.guard is "{self.guard}"; choose "support" or "none"',
         )
 
 
 @dataclass(frozen=True)
-class ExtractConfig(_Strict):
+class ExtractConfig(Strict):
     """From field to mesh.
 
     resolution: cells along the largest extent.
@@ -105,37 +104,76 @@ class ExtractConfig(_Strict):
     extractor: Extractor = "edges"
 
     def __post_init__(self) -> None:
-        _require(
+        require(
             16 <= self.resolution <= MAX_RESOLUTION,
             f"extract.resolution is {self.resolution}; choose 16 to {MAX_RESOLUTION}",
         )
-        _require(
+        require(
             self.extractor in ("edges", "cap"),
             f'extract.extractor is "{self.extractor}"; choose "edges" or "cap"',
         )
 
 
 @dataclass(frozen=True)
-class Config(_Strict):
+class Config(Strict):
     """Everything that decides a reconstruction. The same cloud, config and machine give the
-    same mesh."""
+    same mesh.
+
+    field: "spline" solves linear systems; "mlp" trains the paper's network; "cap-udf" trains a
+        distance network in the manner of CAP-UDF, to compare with.
+    """
 
     preset: str = "fast"
-    flow: FlowConfig = field(default_factory=FlowConfig)
-    spline: SplineConfig = field(default_factory=SplineConfig)
-    densify: DensifyConfig = field(default_factory=DensifyConfig)
-    extract: ExtractConfig = field(default_factory=ExtractConfig)
+    field: FieldKind = "spline"
+    flow: FlowConfig = dataclasses.field(default_factory=FlowConfig)
+    spline: SplineConfig = dataclasses.field(default_factory=SplineConfig)
+    network: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
+    training: TrainingConfig = dataclasses.field(default_factory=TrainingConfig)
+    densify: DensifyConfig = dataclasses.field(default_factory=DensifyConfig)
+    extract: ExtractConfig = dataclasses.field(default_factory=ExtractConfig)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _require(
+        require(
             self.preset in PRESET_NAMES,
             f'unknown preset "{self.preset}"; choose one of: {", ".join(PRESET_NAMES)}',
         )
-        _require(0 <= self.seed < 2**63, f"seed is {self.seed}; choose 0 to 2^63 - 1")
+        require(
+            self.field in FIELDS,
+            f'unknown field "{self.field}"; choose one of: {", ".join(FIELDS)}',
+        )
+        require(0 <= self.seed < 2**63, f"seed is {self.seed}; choose 0 to 2^63 - 1")
 
 
-PRESET_NAMES = ("fast",)
+FIELDS: tuple[FieldKind, ...] = ("spline", "mlp", "cap-udf")
+PRESET_NAMES = ("fast", "neural", "paper")
+_NEURAL = {"field": "mlp"}
+_PAPER = {
+    "field": "mlp",
+    "network": NetworkConfig(
+        layers=12,
+        width=256,
+        position_frequencies=5,
+        time_frequencies=16,
+        skips=(4, 8),
+        film=(0, 4, 8),
+        output="relu",
+        scale="learned",
+        start="linear",
+    ),
+    "training": TrainingConfig(
+        iterations=60_000,
+        batch=5_000,
+        learning_rate=1e-3,
+        warmup=1_000,
+        queries=1_000_000,
+        value_weight=0.0,
+        targets="points",
+    ),
+    "densify": DensifyConfig(points_per_round=2_000, guard="none"),
+    "extract": ExtractConfig(extractor="cap"),
+}
+_CHANGES: dict[str, dict[str, Any]] = {"fast": {}, "neural": _NEURAL, "paper": _PAPER}
 
 
 def preset(name: str) -> Config:
@@ -144,7 +182,11 @@ def preset(name: str) -> Config:
     Raises:
         InvalidConfig: there is no preset of this name.
     """
-    return Config(preset=name)
+    require(
+        name in PRESET_NAMES,
+        f'unknown preset "{name}"; choose one of: {", ".join(PRESET_NAMES)}',
+    )
+    return Config(preset=name, **_CHANGES[name])
 
 
 def presets() -> dict[str, Config]:
@@ -154,7 +196,18 @@ def presets() -> dict[str, Config]:
 
 def to_dict(config: Config) -> dict[str, Any]:
     """The configuration as plain JSON values."""
-    return dataclasses.asdict(config)
+    return _plain(dataclasses.asdict(config))
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """With lists in place of tuples, which JSON does not know."""
+    plain: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            plain[key] = _plain(value)
+        else:
+            plain[key] = list(value) if isinstance(value, tuple) else value
+    return plain
 
 
 def from_dict(values: dict[str, Any]) -> Config:
@@ -164,7 +217,7 @@ def from_dict(values: dict[str, Any]) -> Config:
         InvalidConfig: an unknown key, a wrong type or a value out of range.
     """
     name = values.get("preset", "fast")
-    _require(isinstance(name, str), "preset must be a string")
+    require(isinstance(name, str), "preset must be a string")
     return _updated(preset(name), values, "")
 
 
@@ -173,13 +226,13 @@ def _updated(base: Any, values: dict[str, Any], path: str) -> Any:
     changes: dict[str, Any] = {}
     for key, value in values.items():
         where = f"{path}{key}"
-        _require(
+        require(
             key in known,
             f'unknown parameter "{where}"; known here: {", ".join(sorted(known))}',
         )
         current = known[key]
         if dataclasses.is_dataclass(current):
-            _require(isinstance(value, dict), f"{where} must be an object")
+            require(isinstance(value, dict), f"{where} must be an object")
             changes[key] = _updated(current, value, f"{where}.")
         else:
             changes[key] = _checked_scalar(base, key, value, where)
@@ -189,15 +242,25 @@ def _updated(base: Any, values: dict[str, Any], path: str) -> Any:
 def _checked_scalar(base: Any, key: str, value: Any, where: str) -> Any:
     annotation = str({f.name: f.type for f in dataclasses.fields(base)}[key])
     if value is None:
-        _require("None" in annotation, f"{where} must not be null")
+        require("None" in annotation, f"{where} must not be null")
         return None
     if annotation.startswith("int"):
         whole = isinstance(value, int) and not isinstance(value, bool)
-        _require(whole, f"{where} must be a whole number, not {value!r}")
+        require(whole, f"{where} must be a whole number, not {value!r}")
+    elif annotation.startswith("tuple[int"):
+        return _checked_integers(value, where)
     elif annotation.startswith("float"):
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        _require(number, f"{where} must be a number, not {value!r}")
+        require(number, f"{where} must be a number, not {value!r}")
         return float(value)
     else:
-        _require(isinstance(value, str), f"{where} must be a string, not {value!r}")
+        require(isinstance(value, str), f"{where} must be a string, not {value!r}")
     return value
+
+
+def _checked_integers(value: Any, where: str) -> tuple[int, ...]:
+    whole = isinstance(value, list | tuple) and all(
+        isinstance(item, int) and not isinstance(item, bool) for item in value
+    )
+    require(whole, f"{where} must be a list of whole numbers, not {value!r}")
+    return tuple(value)

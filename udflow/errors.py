@@ -62,3 +62,9 @@ class Canceled(UdflowError):
     """The caller asked to stop."""
 
     code = "canceled"
+
+
+class BadCheckpoint(BadField):
+    """A checkpoint is damaged or belongs to another cloud or configuration."""
+
+    code = "bad_checkpoint"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,13 @@ from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.sampled_surface import SampledSurface
 from udflow.config import Config, ExtractConfig, to_dict
 from udflow.errors import EmptySurface
+from udflow.fields.interface import ProjectiveField
+from udflow.fields.network import Network
 from udflow.fields.unsigned import SurfaceField, UnsignedDistanceField
-from udflow.fit.spline import SplineFit, finest_resolution, fit_spline
+from udflow.fit.checkpoint import Keeper, origin_of
+from udflow.fit.kinds import Fit, fitting_of
+from udflow.fit.neural import network_config
+from udflow.fit.spline import finest_resolution
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
@@ -52,6 +58,7 @@ def reconstruct(
     *,
     device: str = "cpu",
     on_progress: Callable[[Progress], None] | None = None,
+    checkpoint: Path | None = None,
 ) -> Reconstruction:
     """Reconstructs a surface and its unsigned distance field from a point cloud.
 
@@ -60,12 +67,15 @@ def reconstruct(
         config: parameters; the preset "fast" if None.
         device: a torch device, such as "cpu" or "cuda".
         on_progress: called with every `Progress`.
+        checkpoint: file that a trained field is saved to now and then, and gone on with where it
+            exists already; see `reconstruct_steps`.
 
     Raises:
+        BadCheckpoint: the file is damaged, or of another cloud or configuration.
         InvalidCloud: nothing can be made of these points; the message says why.
         Diverged, EmptySurface: the fit or the extraction failed; the message says what to change.
     """
-    steps = reconstruct_steps(cloud, config or Config(), device)
+    steps = reconstruct_steps(cloud, config or Config(), device, checkpoint=checkpoint)
     while True:
         try:
             progress = next(steps)
@@ -81,16 +91,26 @@ def reconstruct_steps(
     config: Config,
     device: str = "cpu",
     enough: Callable[[], bool] = lambda: False,
+    *,
+    checkpoint: Path | None = None,
+    checkpoint_s: float = 30.0,
 ) -> Generator[Progress, None, Reconstruction]:
     """`reconstruct` as a generator: yields progress, returns the `Reconstruction`.
 
     Between two yields a caller may stop, publish or save; nothing is lost by waiting. Once
-    `enough` says so no more is fitted, and the mesh is made of the last whole fit; the first fit
-    is always finished.
+    `enough` says so no more is fitted, and the mesh is made of the last whole fit; a first fit
+    that is trained is used as it is then, one that is solved is finished.
+
+    A trained field is saved to `checkpoint` at most every `checkpoint_s` seconds while it is
+    fitted. Where the file exists already the fit goes on from there, on the same machine bit for
+    bit as if it had never stopped. The file is removed when the field is whole.
     """
     require_reconstructable(cloud)
     with torch.inference_mode():
-        return (yield from _Run(cloud, config, device, enough).steps())
+        run = _Run(cloud, config, device, enough)
+        if checkpoint is not None:
+            run.keep(checkpoint, checkpoint_s)
+        return (yield from run.steps())
 
 
 class _Run:
@@ -112,7 +132,9 @@ class _Run:
         self.rounds = densify.rounds_needed(len(unit), config.densify)
         self.round = 0
         self.births = [len(unit)]  # points that came in each round, the measured ones first
-        self.latest: SplineFit | None = None
+        self.counts: list[dict[str, int]] = []  # counters of each round
+        self.keeper: Keeper | None = None
+        self.latest: Fit | None = None
         self.fits = 0
         self.loss: float | None = None
         self.started = time.monotonic()
@@ -120,17 +142,11 @@ class _Run:
 
     def steps(self) -> Generator[Progress, None, Reconstruction]:
         yield self._progress("reading", 1, 1)
-        fit = yield from self._fitted("fitting")
-        while self.round < self.rounds and not self.partial:
-            grown = densify.reflow(
-                self.samples, self.measured, fit.field, self.config.densify, self.generator
-            )
-            if len(grown) == len(self.samples):
-                break
-            self.births.append(len(grown) - len(self.samples))
-            self.samples = grown
-            self.round += 1
+        fit = yield from self._fitted("densifying" if self.round else "fitting")
+        while self.round < self.rounds and not self.partial and self._grown(fit):
             fit = yield from self._fitted("densifying", fit)
+        if self.keeper is not None:
+            self.keeper.remove()
         yield self._progress("extracting", 0, 1)
         mesh = self._extracted(fit)
         self._clock("extracting")
@@ -139,34 +155,76 @@ class _Run:
         yield self._progress("exporting", 1, 1)
         return result
 
-    def _fitted(
-        self, stage: Stage, earlier: SplineFit | None = None
-    ) -> Generator[Progress, None, SplineFit]:
+    def keep(self, path: Path, every_s: float) -> None:
+        """Saves to `path` from now on, and goes on from what is there."""
+        self.keeper = Keeper(path, every_s, origin_of(self.measured, self.config))
+        stored = self.keeper.stored
+        if stored is not None:
+            self.samples = stored.samples.to(self.measured.device)
+            self.generator.set_state(stored.generator)
+            self.counts = list(stored.rounds)
+            self.births += [counts["added"] for counts in stored.rounds]
+            self.round = len(stored.rounds)
+
+    def _grown(self, fit: Fit) -> bool:
+        """One round of densification; whether it added anything."""
+        before = densify.Round(self.round, self.samples, 0)
+        after = densify.reflow_round(
+            before, self.measured, fit.field, self.config.densify, self.generator
+        )
+        if after.added == 0:
+            return False
+        self.samples, self.round = after.samples, after.number
+        self.births.append(after.added)
+        self.counts.append(after.counts())
+        return True
+
+    def _fitted(self, stage: Stage, earlier: Fit | None = None) -> Generator[Progress, None, Fit]:
         """A new fit, or the earlier one when it is to be enough."""
-        yield self._progress(stage, 0, self.config.flow.steps)
-        surface = self._surface()
-        fitting = fit_spline(surface, self.config)
+        random = self.generator.get_state()
+        fitting = fitting_of(
+            self.samples,
+            self._surface(),
+            self.config,
+            self.round,
+            self.rounds,
+            earlier,
+            self.generator,
+        )
+        if self.keeper is not None:
+            self.keeper.resume(fitting)
+        yield self._progress(stage, 0, fitting.total)
+        steps = fitting.run()
         while True:
             try:
-                solved = next(fitting)
-            except StopIteration as done:
-                fit: SplineFit = done.value
+                done = next(steps)
+            except StopIteration as whole:
+                fit: Fit = whole.value
                 break
-            yield self._progress(stage, solved, self.config.flow.steps)
+            if self.keeper is not None:
+                self.keeper.offer(fitting, tuple(self.counts), self.samples, random)
+            yield self._progress(stage, done, fitting.total)
             self.partial = self.enough()
-            if self.partial and earlier is not None:
-                self._clock(stage)
-                return earlier
-        self.loss = fit.loss
-        self.latest, self.fits = fit, self.fits + 1
+            early = (earlier or fitting.early()) if self.partial else None
+            if early is not None:
+                fit = early
+                break
+        if fit is not earlier:
+            self.loss, self.latest, self.fits = fit.loss, fit, self.fits + 1
         self._clock(stage)
         return fit
 
-    def _extracted(self, fit: SplineFit) -> Mesh:
-        field = SurfaceField(fit.field, self._measured_surface().surface)
+    def _extracted(self, fit: Fit) -> Mesh:
+        field = self.unit_field(fit)
         mesh = extract(field, self.samples, self.config.extract)
         voxel = 1.0 / self.config.extract.resolution
         return settled(mesh, field, voxel, self.samples.device)
+
+    def unit_field(self, fit: Fit) -> ProjectiveField:
+        """What is extracted. A field trained to the samples alone, as the paper's, stands alone."""
+        if self.config.field != "spline" and self.config.training.targets == "points":
+            return fit.field
+        return SurfaceField(fit.field, self._measured_surface().surface)
 
     def _surface(self) -> SampledSurface:
         """What the trajectories are drawn to: the measured points and, with quadrics fitted to
@@ -181,7 +239,7 @@ class _Run:
             self._quadrics = SampledSurface.of(self.measured, detail)
         return self._quadrics
 
-    def _finished(self, fit: SplineFit, mesh: Mesh) -> Reconstruction:
+    def _finished(self, fit: Fit, mesh: Mesh) -> Reconstruction:
         vertices = self.normalisation.to_world(mesh.vertices)
         colors = transfer_colors(vertices, self.cloud)
         points = self.normalisation.to_world(self.samples.cpu().numpy())
@@ -209,16 +267,24 @@ class _Run:
                 "densified": len(self.samples),
                 "rounds": self.round,
             },
+            "densification": self.counts,
             "partial": self.partial,
             "frame": {"centre": list(self.normalisation.centre), "scale": scale},
             "spacing": surface.spacing * scale,
             "sample_error": surface.error * scale,
-            "spline_resolution": finest_resolution(surface.spacing, self.config),
+            **self._about_field(surface.spacing),
             "loss": self.loss,
             "mesh": {"vertices": len(mesh.vertices), "faces": len(mesh.faces)},
             "seconds": {**self.seconds, "total": time.monotonic() - self.started},
             "warnings": list(self.cloud.warnings),
         }
+
+    def _about_field(self, spacing: float) -> dict[str, Any]:
+        if self.config.field == "spline":
+            return {"spline_resolution": finest_resolution(spacing, self.config)}
+        network = Network(network_config(self.config))
+        batch = self.config.training.batch
+        return {"parameters": network.size, "flops_per_iteration": network.flops(batch)}
 
     def _clock(self, stage: Stage) -> None:
         """Books the time since the last booking to a stage."""
@@ -272,9 +338,9 @@ class _Glance:
         run = self._run
         if run.latest is None:
             return None
-        field = SurfaceField(run.latest.field, run._measured_surface().surface)
         try:
             with torch.inference_mode():
+                field = run.unit_field(run.latest)
                 mesh = extract(field, run.samples, ExtractConfig(resolution))
         except EmptySurface:
             return None

@@ -211,7 +211,7 @@ def test_what_the_configuration_says_is_done(plain: Reconstruction) -> None:
         densify=DensifyConfig(target_points=0),
     )
     result = reconstruct(cloud_of(Sphere(), 500), config)
-    assert result.field.spline.levels[0].grid.spacing == pytest.approx(1 / 20)
+    assert result.field.fitted.levels[0].grid.spacing == pytest.approx(1 / 20)
     assert result.report["spline_resolution"] == 20
     assert 3.8 < len(result.mesh.vertices) / len(plain.mesh.vertices) < 4.2
 

@@ -1,12 +1,15 @@
-"""What a field must offer to densification and extraction."""
+"""What a field must offer to densification, extraction and distance queries."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
+from udflow.cloud.neighbours import NeighbourTree
 
+
+@runtime_checkable
 class ProjectiveField(Protocol):
     """Anything that moves points onto the surface it represents.
 
@@ -22,5 +25,38 @@ class ProjectiveField(Protocol):
 
         Returns:
             (n, 3) float32 points on the surface, unit frame, same device.
+        """
+        ...
+
+
+@runtime_checkable
+class DistanceField(Protocol):
+    """Anything with an unsigned distance and its gradient: all that densification asks for."""
+
+    def distance(self, points: Tensor) -> Tensor:
+        """Unsigned distances of (n, 3) points from the surface, (n,), unit frame."""
+        ...
+
+    def gradient(self, points: Tensor) -> Tensor:
+        """Their gradients, (n, 3), of any length; away from the surface."""
+        ...
+
+
+class FittedField(ProjectiveField, Protocol):
+    """A field that was fitted to a cloud and knows where it can be trusted."""
+
+    @property
+    def half_edge(self) -> float:
+        """Half the edge of the box in which it answers, unit frame."""
+        ...
+
+    def refine(self, points: Tensor) -> Tensor:
+        """(n, 3) points that are already near the surface to their feet."""
+        ...
+
+    def trusts(self, points: Tensor, feet: Tensor, sites: NeighbourTree) -> Tensor:
+        """(n,) bool, whether (n, 3) points are near enough for the field alone.
+
+        feet: where the field puts them, (n, 3). sites: points that are known to be on the surface.
         """
         ...

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from udflow.cloud.neighbours import NeighbourTree
 from udflow.fields.lattice import SparseLattice, neighbour_offsets
 from udflow.flow.schedule import TimeSchedule
 
 _CHUNK = 1 << 15  # queries evaluated together: their 27 coefficients stay in the cache
 _REFINEMENTS = 2  # full projections at the finest level
+_NEAR = 1.0  # cells of the finest level within which the spline is trusted alone
 
 
 def quadratic_weights(r: Tensor) -> tuple[Tensor, Tensor]:
@@ -234,3 +236,14 @@ class SplineField:
     def covers(self, points: Tensor) -> Tensor:
         """(n,) bool, whether points lie in the trained box."""
         return self.levels[-1].covers(points)
+
+    def trusts(self, points: Tensor, feet: Tensor, sites: NeighbourTree) -> Tensor:
+        """(n,) bool, whether (n, 3) points with these feet lie within a finest cell of them."""
+        limit = _NEAR * self.levels[0].grid.spacing
+        return self.levels[0].covers(points) & ((feet - points).norm(dim=1) < limit)
+
+    @property
+    def half_edge(self) -> float:
+        """Half the edge of the trained box, unit frame."""
+        grid = self.levels[-1].grid
+        return float(-(grid.origin[0]) - 0.5 * grid.spacing)

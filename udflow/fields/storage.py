@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,12 @@ from torch import Tensor
 from udflow.cloud.normalisation import Normalisation
 from udflow.cloud.quadrics import LocalQuadrics, QuadricSurface
 from udflow.errors import BadField
+from udflow.fields.cap_udf import CapUdfField
+from udflow.fields.interface import FittedField
 from udflow.fields.lattice import SparseLattice
+from udflow.fields.mlp import MLPField
 from udflow.fields.spline import SplineField, SplineGrid, SplineLevel
+from udflow.fields.trained_storage import TRAINED_FORMAT, trained_field, trained_parts
 from udflow.fields.unsigned import UnsignedDistanceField
 from udflow.flow.schedule import TimeSchedule
 
@@ -34,28 +39,40 @@ _MAX_LATTICE = 640  # points along an axis; 512 cells and their margin need fewe
 
 
 def field_to_bytes(field: UnsignedDistanceField) -> bytes:
-    """The field as the bytes of a safetensors file."""
+    """The field as the bytes of a safetensors file.
+
+    Raises:
+        TypeError: a field of a kind that has no format.
+    """
+    if isinstance(field.fitted, SplineField):
+        tensors, header = _spline_parts(field.fitted)
+    elif isinstance(field.fitted, MLPField | CapUdfField):
+        tensors, header = trained_parts(field.fitted)
+    else:
+        raise TypeError(f"no format for fields of the kind {type(field.fitted).__name__}")
+    for name in _QUADRICS:
+        tensors[f"quadrics.{name}"] = getattr(field.surface.quadrics, name).cpu().contiguous()
+    tensors["quadrics.count"] = field.surface.quadrics.count.cpu().contiguous()
+    header |= {
+        "version": VERSION,
+        "centre": field.normalisation.centre,
+        "scale": field.normalisation.scale,
+    }
+    return to_bytes(tensors, metadata={"udflow": json.dumps(header)})
+
+
+def _spline_parts(spline: SplineField) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and header of a spline field."""
     tensors: dict[str, Tensor] = {}
     levels: list[dict[str, Any]] = []
-    for i, level in enumerate(field.spline.levels):
+    for i, level in enumerate(spline.levels):
         grid = level.grid
         tensors[f"level{i}.coefficients"] = level.coefficients.cpu().contiguous()
         tensors[f"level{i}.cells"] = grid.cells.coordinates.to(torch.int16).cpu().contiguous()
         levels.append(
             {"origin": grid.origin.tolist(), "spacing": grid.spacing, "shape": grid.cells.shape}
         )
-    for name in _QUADRICS:
-        tensors[f"quadrics.{name}"] = getattr(field.surface.quadrics, name).cpu().contiguous()
-    tensors["quadrics.count"] = field.surface.quadrics.count.cpu().contiguous()
-    header = {
-        "format": FORMAT,
-        "version": VERSION,
-        "steps": field.spline.schedule.steps,
-        "centre": field.normalisation.centre,
-        "scale": field.normalisation.scale,
-        "levels": levels,
-    }
-    return to_bytes(tensors, metadata={"udflow": json.dumps(header)})
+    return tensors, {"format": FORMAT, "steps": spline.schedule.steps, "levels": levels}
 
 
 def save_field(field: UnsignedDistanceField, path: Path) -> None:
@@ -76,20 +93,12 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
         with safe_open(str(path), framework="pt", device=device) as file:
             header = json.loads((file.metadata() or {}).get("udflow", "{}"))
             _check_header(header)
-            levels = tuple(
-                _level(
-                    described,
-                    file.get_tensor(f"level{i}.coefficients"),
-                    file.get_tensor(f"level{i}.cells"),
-                )
-                for i, described in enumerate(header["levels"])
-            )
+            fitted = _fitted(header, file.get_tensor)
             surface = _surface(
                 {name: file.get_tensor(f"quadrics.{name}") for name in (*_QUADRICS, "count")}
             )
         x, y, z = (float(c) for c in header["centre"])
         normalisation = Normalisation((x, y, z), float(header["scale"]))
-        schedule = TimeSchedule(int(header["steps"]))
     except BadField:
         raise
     except (
@@ -101,18 +110,30 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
         RuntimeError,
     ) as error:
         raise BadField(f"{path.name} is not a readable udflow field: {error}") from error
-    return UnsignedDistanceField(SplineField(schedule, levels), surface, normalisation)
+    return UnsignedDistanceField(fitted, surface, normalisation)
+
+
+def _fitted(header: dict[str, Any], tensor: Callable[[str], Tensor]) -> FittedField:
+    """The field that a header describes; `tensor` reads one by name."""
+    if header["format"] == TRAINED_FORMAT:
+        return trained_field(header, tensor("parameters"))
+    levels = tuple(
+        _level(described, tensor(f"level{i}.coefficients"), tensor(f"level{i}.cells"))
+        for i, described in enumerate(header["levels"])
+    )
+    return SplineField(TimeSchedule(int(header["steps"])), levels)
 
 
 def _check_header(header: Any) -> None:
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
+    formats = (FORMAT, TRAINED_FORMAT)
+    if not isinstance(header, dict) or header.get("format") not in formats:
         raise BadField("the file holds no udflow field; fit one with udflow reconstruct --field")
     if header.get("version") != VERSION:
         raise BadField(
             f"the field has version {header.get('version')}, this release reads {VERSION}; "
             "fit it again"
         )
-    if not 0 < len(header["levels"]) == header["steps"]:
+    if header["format"] == FORMAT and not 0 < len(header["levels"]) == header["steps"]:
         raise BadField("the field's levels do not match its time schedule")
     numbers = [*header["centre"], header["scale"]]
     if not all(math.isfinite(n) for n in numbers) or header["scale"] <= 0:

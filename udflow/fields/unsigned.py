@@ -12,10 +12,9 @@ from torch import Tensor
 from udflow.cloud.normalisation import Normalisation
 from udflow.cloud.quadrics import QuadricSurface
 from udflow.errors import InvalidQuery
-from udflow.fields.spline import SplineField
+from udflow.fields.interface import FittedField
 
 _CHUNK = 1 << 17
-_NEAR = 1.0  # cells of the finest level within which the spline is trusted alone
 
 
 @dataclass(frozen=True)
@@ -38,24 +37,22 @@ class FieldAnswer:
 
 @dataclass(frozen=True)
 class SurfaceField:
-    """Spline and quadrics as one `ProjectiveField` in the unit frame.
+    """A fitted field and quadrics as one `ProjectiveField` in the unit frame.
 
-    Near the surface the spline answers. A smooth energy blurs the places that are equally far
-    from two parts of the surface, so farther away the nearest quadric gives the foot and the
-    spline refines it.
+    Near the surface the fitted field answers. A smooth energy blurs the places that are equally
+    far from two parts of the surface, and a network knows little of places where it was hardly
+    trained, so farther away the nearest quadric gives the foot and the field refines it.
     """
 
-    spline: SplineField
+    fitted: FittedField
     surface: QuadricSurface
 
     def project(self, points: Tensor) -> Tensor:
         """Feet of (n, 3) points."""
-        feet = self.spline.project(points)
-        trusted = _NEAR * self.spline.levels[0].grid.spacing
-        near = self.spline.levels[0].covers(points) & ((feet - points).norm(dim=1) < trusted)
-        far = (~near).nonzero().squeeze(1)
+        feet = self.fitted.project(points)
+        far = (~self.fitted.trusts(points, feet, self.surface.tree)).nonzero().squeeze(1)
         if len(far) > 0:
-            feet[far] = self.spline.refine(self.surface.project(points[far]))
+            feet[far] = self.fitted.refine(self.surface.project(points[far]))
         return feet
 
 
@@ -64,19 +61,19 @@ class UnsignedDistanceField:
     """A fitted field that answers in world units.
 
     Attributes:
-        spline: the field in the unit frame.
-        surface: the quadrics that its trajectories ended on, unit frame.
+        fitted: the field in the unit frame.
+        surface: quadrics of the measured points, unit frame.
         normalisation: between world and unit frame.
     """
 
-    spline: SplineField
+    fitted: FittedField
     surface: QuadricSurface
     normalisation: Normalisation
 
     @property
     def unit(self) -> SurfaceField:
         """The same field in the unit frame."""
-        return SurfaceField(self.spline, self.surface)
+        return SurfaceField(self.fitted, self.surface)
 
     @property
     def low(self) -> NDArray[np.float64]:
@@ -104,7 +101,7 @@ class UnsignedDistanceField:
         )
 
     def _query(self, points: NDArray[np.float64]) -> FieldAnswer:
-        device = self.spline.levels[0].coefficients.device
+        device = self.surface.quadrics.origin.device
         low, high = self.low, self.high
         valid: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
         unit = torch.from_numpy(self.normalisation.to_unit(np.clip(points, low, high)))
@@ -117,8 +114,7 @@ class UnsignedDistanceField:
         return FieldAnswer(distance, gradient.astype(np.float32), closest, valid)
 
     def _half_edge(self) -> float:
-        grid = self.spline.levels[-1].grid
-        return float(-(grid.origin[0]) - 0.5 * grid.spacing) * self.normalisation.scale
+        return self.fitted.half_edge * self.normalisation.scale
 
 
 def checked_queries(points: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -55,13 +55,13 @@ def test_a_field_comes_back_bit_by_bit(sphere_field: UnsignedDistanceField, tmp_
     for name in ("distance", "gradient", "closest", "valid"):
         assert getattr(one, name).tobytes() == getattr(two, name).tobytes(), name
     assert back.normalisation == odd
-    assert back.spline.schedule == field.spline.schedule
+    assert back.fitted.schedule == field.fitted.schedule
     assert field_to_bytes(back) == path.read_bytes()
 
 
 def test_it_is_smaller_than_it_could_be(stored: bytes, sphere_field: UnsignedDistanceField) -> None:
     """The 27 gathered coefficients per cell are made again, not stored."""
-    rows = sum(level.rows.numel() for level in sphere_field.spline.levels)
+    rows = sum(level.rows.numel() for level in sphere_field.fitted.levels)
     assert len(stored) < 4 * rows / 3
 
 

@@ -99,9 +99,9 @@ def test_outside_the_box_answers_say_so_and_stay_sensible(
 
 def test_on_the_surface_the_gradient_is_zero(sphere_field: UnsignedDistanceField) -> None:
     """Where the energy is zero all around, a query is its own foot: 0, not 0 / 0."""
-    finest = sphere_field.spline.levels[0]
+    finest = sphere_field.fitted.levels[0]
     still = SplineLevel.of(finest.grid, torch.zeros_like(finest.coefficients))
-    spline = replace(sphere_field.spline, levels=(still, *sphere_field.spline.levels[1:]))
+    spline = replace(sphere_field.fitted, levels=(still, *sphere_field.fitted.levels[1:]))
     near = UnsignedDistanceField(spline, sphere_field.surface, Normalisation((0.0, 0.0, 0.0), 1.0))
     points = (0.5 * directions(50)).astype(np.float32)
     answer = near.query(points)
