@@ -129,6 +129,15 @@ class Costs:
             pipe.ltrim(key, 0, _USED - 1)
             pipe.execute()
 
+    def count(self, stages: Mapping[str, float], points: Mapping[str, int]) -> None:
+        """Add to the sums that /metrics shows: seconds by stage, points by kind."""
+        with self._redis.pipeline() as pipe:
+            for stage, seconds in stages.items():
+                pipe.hincrbyfloat(keys.COUNTERS, f"seconds:{stage}", round(seconds, 3))
+            for kind, number in points.items():
+                pipe.hincrby(keys.COUNTERS, f"points:{kind}", number)
+            pipe.execute()
+
     def estimate(self, workload: Workload) -> Estimate:
         """What such a job will take."""
         known = self._known(workload)

@@ -36,6 +36,12 @@ class QueueFull(UdflowError):
     code = "queue_full"
 
 
+class TooManyJobs(UdflowError):
+    """The caller has as many unfinished jobs as it may have."""
+
+    code = "too_many_jobs"
+
+
 class BadEventId(UdflowError, ValueError):
     """The position in an event stream is not one that the service gave out."""
 

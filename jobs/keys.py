@@ -16,6 +16,8 @@ EXPIRING = "udflow:jobs:expiring"  # sorted set by end of retention; member leav
 WEBHOOKS = "udflow:webhooks"  # sorted set, "<job id>:<state>" by when to send; leaves when settled
 DELIVERIES_LIFE_S = 7 * 24 * 3600
 
+UNFINISHED_OF = "udflow:unfinished:"  # + caller: set of ids; member leaves at the terminal state
+COUNTERS = "udflow:counters"  # hash, what has happened since this Redis was new
 UNSAVED = "udflow:jobs:unsaved"  # set of ended jobs; member leaves when the reaper has saved it
 RESTORED = "udflow:restored"  # string; as long as this Redis remembers anything at all
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import redis
 
 from jobs import keys, scripts
-from jobs.errors import IdempotencyConflict, QueueFull, UnknownId
+from jobs.errors import IdempotencyConflict, QueueFull, TooManyJobs, UnknownId
 from jobs.fields import flat, initial_fields, record_of, texts
 from jobs.ids import first_id
 from jobs.spec import Artifact, JobError, JobRecord, JobSpec, JobState
@@ -85,12 +85,14 @@ class JobRecords:
         spec: JobSpec,
         idempotency: Idempotency | None = None,
         queue_limit: int | None = None,
+        caller_limit: int | None = None,
     ) -> Created:
         """Store a new job as queued. The same spec or idempotency key again changes nothing.
 
         Raises:
             IdempotencyConflict: the key came before with another body.
             QueueFull: queue_limit jobs wait already.
+            TooManyJobs: the spec's caller has caller_limit unfinished ones.
             UnknownId: the job that the key made has been deleted since.
         """
         fields = initial_fields(spec)
@@ -102,6 +104,7 @@ class JobRecords:
             digest,
             "" if queue_limit is None else queue_limit,
             fields["created_at"],
+            "" if caller_limit is None else caller_limit,
             *flat(fields),
             extra_key=keys.idempotency(key),
         )
@@ -112,6 +115,10 @@ class JobRecords:
             )
         if outcome == "full":
             raise QueueFull(f"{queue_limit} jobs are waiting already; try again later")
+        if outcome == "many":
+            raise TooManyJobs(
+                f"{caller_limit} jobs of this key are waiting or running; try again later"
+            )
         record = self.get(job_id)
         if record is None:
             raise UnknownId(f"this request made {job_id}, which has been deleted since")
@@ -148,15 +155,18 @@ class JobRecords:
         state: JobState | None = None,
         scan_id: str | None = None,
         created_after: float | None = None,
+        of: str | None = None,
     ) -> Page:
-        """Jobs, newest first. before: `Page.next` of the previous page; times in Unix seconds."""
+        """Jobs, newest first. before: `Page.next` of the previous page; times in Unix seconds;
+        of: only this caller's."""
         oldest = "-" if created_after is None else f"[{first_id('job', created_after)}"
         found: list[JobRecord] = []
         while True:
             newest = "+" if before is None else f"({before}"
             ids = self._redis.zrevrangebylex(keys.INDEX, newest, oldest, start=0, num=100)
             for record in self._fetch(ids):
-                if state in (None, record.state) and scan_id in (None, record.scan_id):
+                wanted = state in (None, record.state) and scan_id in (None, record.scan_id)
+                if wanted and of in (None, record.caller):
                     if len(found) == limit:
                         return Page(tuple(found), found[-1].id)
                     found.append(record)

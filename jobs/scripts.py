@@ -5,12 +5,20 @@ passes its attempt number, and is refused unless the record still has it: a work
 job can waste time, never change a result. Time is the clock of Redis.
 """
 
-from jobs.keys import EVENTS_KEPT, EVENTS_LIFE_S, IDEMPOTENCY_LIFE_S, RECORD_MARGIN_S, WEBHOOKS
+from jobs.keys import (
+    COUNTERS,
+    EVENTS_KEPT,
+    EVENTS_LIFE_S,
+    IDEMPOTENCY_LIFE_S,
+    RECORD_MARGIN_S,
+    UNFINISHED_OF,
+    WEBHOOKS,
+)
 
 # KEYS 1..7 and ARGV 1 are the same in every script.
 _PRELUDE = f"""
 local JOB, EVENTS, INDEX, QUEUED, LEASES, EXPIRING, UNSAVED = unpack(KEYS)
-local ID = ARGV[1]
+local ID, COUNTERS = ARGV[1], '{COUNTERS}'
 
 local function now()
   local time = redis.call('TIME')
@@ -37,6 +45,11 @@ local function announce(state)
   end
 end
 
+local function leave_caller()
+  local caller = redis.call('HGET', JOB, 'caller')
+  if caller and caller ~= '' then redis.call('SREM', '{UNFINISHED_OF}' .. caller, ID) end
+end
+
 local function state_of(attempt)
   local found = redis.call('HMGET', JOB, 'state', 'attempt')
   if found[2] ~= attempt then return nil end
@@ -57,12 +70,15 @@ local function end_as(state, attempt, failure)
   emit_state('state', state, attempt, failure)
   emit_state('end', state, attempt, failure)
   announce(state)
+  leave_caller()
+  redis.call('HINCRBY', COUNTERS, 'jobs:' .. state, 1)
   redis.call('EXPIRE', EVENTS, {EVENTS_LIFE_S})
   redis.call('EXPIRE', JOB, math.ceil(kept) + {RECORD_MARGIN_S})
 end
 """
 
-# KEYS 8: idempotency. ARGV: id, body digest or '', most queued or '', created_at, field, value...
+# KEYS 8: idempotency. ARGV: id, body digest or '', most queued or '', created_at, most unfinished
+# of the same caller or '', field, value...
 CREATE = (
     _PRELUDE
     + f"""
@@ -77,7 +93,16 @@ if digest ~= '' then
 end
 if redis.call('EXISTS', JOB) == 1 then return {{'replayed', ID}} end
 if limit and redis.call('ZCARD', QUEUED) >= limit then return {{'full', ID}} end
-redis.call('HSET', JOB, unpack(ARGV, 5))
+redis.call('HSET', JOB, unpack(ARGV, 6))
+local caller = redis.call('HGET', JOB, 'caller')
+if caller and caller ~= '' then
+  local most = tonumber(ARGV[5])
+  if most and redis.call('SCARD', '{UNFINISHED_OF}' .. caller) >= most then
+    redis.call('DEL', JOB)
+    return {{'many', ID}}
+  end
+  redis.call('SADD', '{UNFINISHED_OF}' .. caller, ID)
+end
 redis.call('ZADD', INDEX, 0, ID)
 redis.call('ZADD', QUEUED, ARGV[4], ID)
 emit_state('state', 'queued', 1, '')
@@ -190,6 +215,7 @@ if state == 'canceling' then
   return 1
 end
 local crashes = tonumber(known[2]) + tonumber(ARGV[3])
+redis.call('HINCRBY', COUNTERS, 'workers:lost', ARGV[3])
 redis.call('HSET', JOB, 'crashes', crashes)
 if crashes >= tonumber(ARGV[5]) then
   end_as('failed', ARGV[2], ARGV[7])
@@ -224,6 +250,7 @@ DELETE = (
 local state = redis.call('HGET', JOB, 'state')
 if state and ARGV[3] == '0' and (state == 'queued' or is_held(state)) then return 0 end
 if state then redis.call('SET', KEYS[8], '1', 'EX', ARGV[2]) end
+leave_caller()
 redis.call('DEL', JOB, EVENTS)
 redis.call('SREM', UNSAVED, ID)
 for _, set in ipairs({INDEX, QUEUED, LEASES, EXPIRING}) do redis.call('ZREM', set, ID) end

@@ -111,10 +111,11 @@ class FileStore:
     def add_scan(self, upload: Upload, manifest: dict[str, Any]) -> AddedScan:
         """Turn an upload into a scan, or find the one that has the same bytes.
 
-        manifest: JSON values, stored with `id`, `sha256`, `bytes` and `created_at` added.
+        manifest: JSON values, stored with `id`, `sha256`, `bytes` and `created_at` added. Scans of
+        different `caller`s are different, whatever their bytes.
         """
-        digest = upload.close()
-        known = self.find_scan(digest)
+        digest, caller = upload.close(), manifest.get("caller")
+        known = self.find_scan(digest, caller)
         if known is not None:
             return AddedScan(known, created=False)
         scan_id = new_id("scan")
@@ -123,17 +124,17 @@ class FileStore:
         os.replace(upload.path, folder / "data")
         about = {"id": scan_id, "sha256": digest, "bytes": upload.size, "created_at": time.time()}
         write_json(folder / "scan.json", manifest | about)
-        owner = self._claim_digest(digest, scan_id)
+        owner = self._claim_digest(digest, caller, scan_id)
         if owner != scan_id:  # the same bytes came in twice at once
             shutil.rmtree(folder, ignore_errors=True)
         return AddedScan(owner, created=owner == scan_id)
 
-    def find_scan(self, digest: str) -> str | None:
-        """The id of the scan whose bytes have this SHA-256."""
+    def find_scan(self, digest: str, caller: str | None = None) -> str | None:
+        """The id of the scan whose bytes have this SHA-256, among those of one caller."""
         if len(digest) != 64 or not _DIGEST_CHARACTERS.issuperset(digest):
             return None
         with suppress(FileNotFoundError):
-            scan_id = self._digest_file(digest).read_text()
+            scan_id = self._digest_file(digest, caller).read_text()
             if self.read_scan(scan_id) is not None:
                 return scan_id
         return None
@@ -163,7 +164,7 @@ class FileStore:
             return False
         folder = self._scan_folder(scan_id)
         (folder / "scan.json").unlink(missing_ok=True)  # first: a half-removed scan is no scan
-        digest_file = self._digest_file(manifest["sha256"])
+        digest_file = self._digest_file(manifest["sha256"], manifest.get("caller"))
         with suppress(FileNotFoundError):
             if digest_file.read_text() == scan_id:
                 digest_file.unlink()
@@ -270,16 +271,19 @@ class FileStore:
     def _job_folder(self, job_id: str) -> Path:
         return self.root / "jobs" / require_id("job", job_id)
 
-    def _digest_file(self, digest: str) -> Path:
-        return self.root / "scans" / "by-sha256" / digest
+    def _digest_file(self, digest: str, caller: str | None) -> Path:
+        own = (
+            digest if caller is None else hashlib.sha256(f"{caller} {digest}".encode()).hexdigest()
+        )
+        return self.root / "scans" / "by-sha256" / own
 
-    def _claim_digest(self, digest: str, scan_id: str) -> str:
+    def _claim_digest(self, digest: str, caller: str | None, scan_id: str) -> str:
         """Name the scan for these bytes, unless another one is named already."""
-        path = self._digest_file(digest)
+        path = self._digest_file(digest, caller)
         while True:
             if create_exclusive(path, scan_id.encode()):
                 return scan_id
-            owner = self.find_scan(digest)
+            owner = self.find_scan(digest, caller)
             if owner is not None:
                 return owner
             path.unlink(missing_ok=True)  # it named a scan that was removed

@@ -16,6 +16,7 @@ def submit(
     *,
     idempotency: Idempotency | None = None,
     queue_limit: int | None = None,
+    caller_limit: int | None = None,
 ) -> Created:
     """Store the job on disk, then as a record, then offer it to the workers.
 
@@ -25,10 +26,11 @@ def submit(
     Raises:
         IdempotencyConflict: the key came before with another body.
         QueueFull: queue_limit jobs wait already.
+        TooManyJobs: the spec's caller has caller_limit unfinished ones.
     """
     store.write_job(spec)
     try:
-        created = records.create(spec, idempotency, queue_limit)
+        created = records.create(spec, idempotency, queue_limit, caller_limit)
     except BaseException:
         store.delete_job(spec.id)
         raise

@@ -14,16 +14,19 @@ from service.routes import (
     events,
     job_actions,
     jobs,
+    metrics,
     results,
     samples,
     scans,
     slices,
     system,
+    tickets,
     udf,
     uploads,
 )
 from service.services import running
 from service.settings import ServiceSettings, from_environment
+from service.traffic import Traffic, Watched
 from udflow import __version__
 
 DESCRIPTION = (
@@ -64,9 +67,13 @@ def create_app(settings: ServiceSettings | None = None, shared: Settings | None 
     problems.install(app)
     for part in (
         *(scans, uploads, samples, jobs, job_actions, events, results, udf, slices, system),
+        tickets,
+        metrics,
         page,
     ):
         app.include_router(part.router)
     app.openapi = lambda: openapi.document(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, settings=front)
+    app.state.traffic = Traffic()
+    app.add_middleware(Watched, traffic=app.state.traffic)
     return app

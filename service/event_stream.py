@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from jobs.events import START, AsyncEvents, Event, require_event_id
 from jobs.records import JobRecords, Snapshot
+from service.callers import current
 from service.event_hub import EventHub
 from service.job_view import job_values, timestamp
 
@@ -105,7 +106,7 @@ class EventSource:
 
     async def _snapshot(self, job_id: str) -> Snapshot:
         snapshot = await run_in_threadpool(self.records.snapshot, job_id)
-        if snapshot is None:
+        if snapshot is None or not current().sees(snapshot.record.caller):
             raise UnknownJob
         return snapshot
 

@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from jobs.store import Upload
 from service.bodies import BUFFER_BYTES, in_blocks, limited
+from service.callers import current
 from service.multipart import Form, read_form
 from service.names import clean_filename
 from service.problems import Problem, invalid
@@ -51,11 +52,13 @@ async def store_scan(upload: Upload, form: Form, services: Services) -> tuple[di
         Problem: 415 or 422 when no mesh can be made of it.
     """
     digest = await run_in_threadpool(upload.close)
-    known = await run_in_threadpool(services.store.find_scan, digest)
+    owner = current().owner
+    known = await run_in_threadpool(services.store.find_scan, digest, owner)
     created = False
     if known is None:
         summary = await services.inspector.inspect(upload.path)
-        manifest = {**summary, "filename": clean_filename(form.filename or "")}
+        name = clean_filename(form.filename or "")
+        manifest = {**summary, "filename": name, "caller": owner}
         added = await run_in_threadpool(services.store.add_scan, upload, manifest)
         known, created = added.id, added.created
     stored = await run_in_threadpool(services.store.read_scan, known)

@@ -27,6 +27,8 @@ RAW_BODY: dict[str, Any] = {"application/octet-stream": {"schema": _BINARY}}
 
 _DESCRIPTIONS = {
     400: "The request cannot be read",
+    401: "A valid key is required",
+    403: "The key lacks a right",
     404: "Unknown id",
     408: "The body stopped arriving",
     409: "Not possible in the job's state",

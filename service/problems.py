@@ -23,6 +23,7 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "malformed_request": (400, "The request cannot be read"),
     "unauthorized": (401, "A valid key is required"),
     "cross_origin": (403, "Requests from other sites are refused"),
+    "forbidden": (403, "The key lacks a right"),
     "not_found": (404, "There is nothing at this address"),
     "scan_not_found": (404, "No scan has this id"),
     "sample_not_found": (404, "No sample has this name"),
@@ -51,6 +52,9 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "job_too_costly": (422, "The job needs more than this machine has"),
     "upload_locked": (423, "Another request is writing to this upload"),
     "queue_full": (429, "Too many jobs are waiting"),
+    "too_many_jobs": (429, "The key has as many jobs as it may have"),
+    "quota_exceeded": (429, "The key has used up its quota"),
+    "rate_limited": (429, "Too many requests"),
     "internal_error": (500, "The service made a mistake"),
     "artifact_damaged": (500, "A stored file is damaged"),
     "busy": (503, "The service is busy"),
@@ -112,6 +116,15 @@ class Problem(Exception):
 def invalid(pointer: str, code: str, message: str) -> Problem:
     """A 422 about one value of the request."""
     return Problem("invalid_request", message, errors=[(pointer, code, message)])
+
+
+def queue_unavailable() -> Problem:
+    """A 503: Redis is away."""
+    return Problem(
+        "queue_unavailable",
+        "Redis does not answer. Try again in a few seconds; nothing was changed.",
+        headers={"Retry-After": "2"},
+    )
 
 
 def install(app: FastAPI) -> None:
@@ -182,12 +195,7 @@ async def _on_disconnect(request: Request, _: Exception) -> JSONResponse:
 
 async def _on_redis_error(request: Request, error: Exception) -> JSONResponse:
     log.error("redis does not answer: %s", error)
-    problem = Problem(
-        "queue_unavailable",
-        "Redis does not answer. Try again in a few seconds; nothing was changed.",
-        headers={"Retry-After": "2"},
-    )
-    return problem.response(request.scope)
+    return queue_unavailable().response(request.scope)
 
 
 async def _on_os_error(request: Request, error: Exception) -> JSONResponse:

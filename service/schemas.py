@@ -208,6 +208,13 @@ class DeliveryList(BaseModel):
     deliveries: list[DeliveryState]
 
 
+class Ticket(BaseModel):
+    """Stands for the caller's key once, in `?ticket=` of a websocket."""
+
+    ticket: str
+    expires_in_s: int
+
+
 class CostRange(BaseModel):
     """Nine of ten jobs like it lie between `low` and `high`."""
 

@@ -11,6 +11,7 @@ import os
 import socket
 import sys
 
+from jobs.logs import configure
 from service.listening import CannotListen, listen
 from service.server import server_for
 from service.settings import ServiceSettings, SettingsError, from_environment
@@ -20,6 +21,7 @@ from udflow.errors import UdflowError
 def main() -> int:
     """Serve until SIGTERM. The exit code."""
     try:
+        configure()
         settings = from_environment()
         server_for(settings).run(sockets=[_socket(settings)])
     except (SettingsError, CannotListen, UdflowError) as error:

@@ -15,6 +15,8 @@ def server_for(settings: ServiceSettings) -> uvicorn.Server:
         host=settings.host,
         port=settings.port,
         access_log=False,
+        log_config=None,  # as jobs.logs says, for all parts alike
+        log_level="warning",  # handshakes are logged with their address, which may hold a ticket
         server_header=False,
         ws_max_size=64 * 1024,  # clients have nothing to say on a websocket
         ws_per_message_deflate=False,  # 44 KiB of memory a connection for hardly any gain

@@ -25,6 +25,8 @@ from service.event_stream import EventSource
 from service.field_cache import FieldCache
 from service.frames import SharedFrames
 from service.inspection import Inspector
+from service.keys import KeyBook
+from service.rates import Rates
 from service.settings import ServiceSettings
 
 
@@ -46,6 +48,8 @@ class Services:
     inspector: Inspector
     fields: FieldCache
     frames: SharedFrames
+    keys: KeyBook
+    rates: Rates
     longest_run_s: float
     webhook_hosts: tuple[str, ...] | None
 
@@ -69,6 +73,8 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
         events=EventSource(records, events, hub),
         inspector=Inspector(settings),
         fields=FieldCache(),
+        keys=KeyBook(streams),
+        rates=Rates(streams),
         longest_run_s=shared.job_timeout_s,
         webhook_hosts=shared.webhook_hosts if shared.webhook_secret else None,
         frames=SharedFrames(AsyncPreviews(pictures)),

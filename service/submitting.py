@@ -8,11 +8,12 @@ from fastapi import Header
 from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
-from jobs.errors import IdempotencyConflict, QueueFull, UnknownId
+from jobs.errors import IdempotencyConflict, QueueFull, TooManyJobs, UnknownId
 from jobs.records import Created, Idempotency
 from jobs.spec import JobSpec
 from jobs.submission import submit
 from jobs.webhooks import refusal
+from service.callers import current
 from service.job_view import job_view
 from service.problems import Problem, invalid
 from service.services import Services
@@ -30,6 +31,7 @@ async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Service
     Raises:
         Problem: the key was used otherwise, its job is gone, or the queue is full.
     """
+    await _count(services)
     created = await run_in_threadpool(_submitted, spec, key, asked, services)
     view = await run_in_threadpool(job_view, created.record, services.records)
     headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
@@ -38,8 +40,21 @@ async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Service
     return JSONResponse(view.model_dump(mode="json"), 202, headers)
 
 
+async def _count(services: Services) -> None:
+    """Raises a 429 when the caller's quota of the day is used up."""
+    allowance = await services.rates.count_job(current())
+    if allowance is not None and allowance.refused:
+        limit = f"{allowance.limit} jobs a day"
+        message = f"This key may make {limit}; ask again in {allowance.reset_s} s."
+        headers = {"Retry-After": str(max(1, allowance.reset_s))}
+        raise Problem("quota_exceeded", message, headers=headers)
+
+
 def _submitted(spec: JobSpec, key: str | None, asked: Any, services: Services) -> Created:
-    idempotency = None if key is None else Idempotency.of(key, asked)
+    # keys of different callers have nothing to do with each other
+    caller = current()
+    own_key = key if caller.owner is None else f"{caller.owner}:{key}"
+    idempotency = None if key is None else Idempotency.of(own_key or "", asked)
     try:
         return submit(
             spec,
@@ -48,11 +63,14 @@ def _submitted(spec: JobSpec, key: str | None, asked: Any, services: Services) -
             services.dispatcher,
             idempotency=idempotency,
             queue_limit=services.settings.queue_limit,
+            caller_limit=caller.jobs,
         )
     except IdempotencyConflict as error:
         raise Problem("idempotency_conflict", str(error)) from error
     except UnknownId as error:
         raise Problem("gone", f"{error}; use a new Idempotency-Key.") from error
+    except TooManyJobs as error:
+        raise Problem("too_many_jobs", str(error), headers={"Retry-After": "30"}) from error
     except QueueFull as error:
         raise Problem("queue_full", str(error), headers={"Retry-After": "30"}) from error
 

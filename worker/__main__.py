@@ -7,6 +7,7 @@ import sys
 
 import redis
 
+from jobs.logs import configure
 from jobs.settings import Settings
 from udflow.errors import UdflowError
 from worker.rq_worker import FitWorker
@@ -14,10 +15,8 @@ from worker.rq_worker import FitWorker
 
 def main() -> int:
     """The exit code."""
-    logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
     try:
+        configure()
         FitWorker(Settings.from_env()).work()
     except (UdflowError, redis.ConnectionError) as error:
         logging.getLogger("worker").error("%s", error)

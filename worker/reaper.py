@@ -15,6 +15,7 @@ import time
 import redis
 
 from jobs.dispatch import Dispatcher
+from jobs.logs import configure
 from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.signing import load_secret
@@ -137,13 +138,11 @@ class Reaper:
 
 def main() -> int:
     """Sweeps until SIGTERM. The exit code."""
-    logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
     stopping = threading.Event()
     for sig in (signal.SIGTERM, signal.SIGINT):
         signal.signal(sig, lambda *_: stopping.set())
     try:
+        configure()
         settings = Settings.from_env()
         reaper = Reaper(
             settings,

@@ -72,7 +72,7 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
             return
         _finish(job, outcome, records, store)
         if outcome.state is JobState.SUCCEEDED:
-            remember_cost(job, store, watch.elapsed_s, Costs(connection))
+            remember_cost(job, store, watch.elapsed_s, Costs(connection), outcome.outputs)
 
 
 class Watch:

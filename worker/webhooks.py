@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 import redis
 
 from jobs.ids import is_id
+from jobs.logs import configure
 from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.webhooks import (
@@ -149,13 +150,11 @@ def _hang_up(line: socket.socket) -> None:
 
 def main() -> int:
     """Sends until SIGTERM. The exit code."""
-    logging.basicConfig(
-        level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
     stopping = threading.Event()
     for sig in (signal.SIGTERM, signal.SIGINT):
         signal.signal(sig, lambda *_: stopping.set())
     try:
+        configure()
         sender = Sender(Settings.from_env())
     except UdflowError as error:
         log.error("%s", error)

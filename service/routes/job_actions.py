@@ -8,17 +8,17 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
-from jobs.ids import is_id
 from jobs.spec import JobRecord, JobSpec, JobState
 from jobs.webhooks import WebhookQueue
 from service.bodies import read_model
+from service.callers import current
 from service.estimates import require_affordable
 from service.job_view import job_view, moment
 from service.openapi import model_body, problems
 from service.problems import Problem
 from service.requests import Cancel, Extraction
 from service.results import result_file
-from service.routes.jobs import find_job, unknown_job
+from service.routes.jobs import find_job
 from service.routes.scans import Force, find_scan
 from service.schemas import DeliveryList, DeliveryState, Job
 from service.services import Needs, Services
@@ -88,6 +88,7 @@ async def retry_job(
         wanted=record.wanted,
         retried_from=record.id,
         webhook=record.webhook,
+        caller=current().owner,
     )
     return await accepted(spec, idempotency_key, {"retry": record.id}, services)
 
@@ -118,6 +119,7 @@ async def extract_again(
         source=record.id,
         box=(wish.box.low, wish.box.high) if wish.box else None,
         wanted=tuple(wish.outputs),
+        caller=current().owner,
     )
     scan = await run_in_threadpool(services.store.read_scan, record.scan_id) or {}
     await run_in_threadpool(require_affordable, scan, spec.config, "extract", services)
@@ -169,12 +171,12 @@ def delete_job(job_id: str, services: Needs, force: Force = False) -> None:
 
     While it waits or runs the answer is 409, unless `force` is given: it is stopped at once.
     """
-    record = services.records.get(job_id) if is_id("job", job_id) else None
-    if record is None:
-        problem = unknown_job(job_id, services)
+    try:
+        record = find_job(job_id, services)
+    except Problem as problem:
         if problem.code == "gone":
             return
-        raise problem
+        raise
     if not services.records.delete(job_id, force):
         _require_ended(services.records.get(job_id) or record)
     if not record.is_terminal:

@@ -15,6 +15,7 @@ from jobs.ids import is_id
 from jobs.records import Snapshot
 from jobs.spec import JobRecord, JobSpec, JobState
 from service.bodies import read_model
+from service.callers import current
 from service.downloads import matches
 from service.estimates import require_affordable, view
 from service.ingest import is_form, received, store_scan
@@ -66,6 +67,7 @@ async def create_job(
         kept_for(wish.ttl_s, services),
         wanted=tuple(wish.outputs),
         webhook=callable_webhook(wish.webhook, services),
+        caller=current().owner,
     )
     estimate = await run_in_threadpool(
         require_affordable, scan, spec.config, "reconstruct", services
@@ -120,7 +122,14 @@ def list_jobs(
     if cursor is not None and not is_id("job", cursor):
         raise invalid("?cursor", "invalid_value", "use next_cursor of an earlier page")
     after = None if created_after is None else created_after.timestamp()
-    page = services.records.page(limit, cursor, state=state, scan_id=scan_id, created_after=after)
+    page = services.records.page(
+        limit,
+        cursor,
+        state=state,
+        scan_id=scan_id,
+        created_after=after,
+        of=current().owner,
+    )
     jobs = [job_view(record, services.records) for record in page.records]
     return JobPage(jobs=jobs, next_cursor=page.next)
 
@@ -173,7 +182,7 @@ def find_job(job_id: str, services: Services) -> JobRecord:
         Problem: 404, or 410 if it was there once.
     """
     record = services.records.get(job_id) if is_id("job", job_id) else None
-    if record is None:
+    if record is None or not current().sees(record.caller):
         raise unknown_job(job_id, services)
     return record
 
@@ -182,7 +191,7 @@ async def find_snapshot(job_id: str, services: Services) -> Snapshot:
     """The record of a job and its place among its events; raises as `find_job`."""
     if is_id("job", job_id):
         snapshot = await run_in_threadpool(services.records.snapshot, job_id)
-        if snapshot is not None:
+        if snapshot is not None and current().sees(snapshot.record.caller):
             return snapshot
     raise await run_in_threadpool(unknown_job, job_id, services)
 

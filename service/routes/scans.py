@@ -9,6 +9,7 @@ from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import UnknownId
+from service.callers import current
 from service.ingest import received, store_scan
 from service.job_view import moment
 from service.openapi import FILE_FORM, RAW_BODY, problems
@@ -99,7 +100,7 @@ def find_scan(scan_id: str, services: Services) -> dict[str, Any]:
         manifest = services.store.read_scan(scan_id)
     except UnknownId as error:
         raise Problem("scan_not_found", str(error)) from error
-    if manifest is not None:
+    if manifest is not None and current().sees(manifest.get("caller")):
         return manifest
     if services.records.is_gone(scan_id):
         raise Problem("gone", "This scan was deleted or has expired; upload it again.")

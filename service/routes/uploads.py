@@ -15,6 +15,7 @@ from starlette.requests import ClientDisconnect
 from jobs.store import Upload
 from jobs.uploads import UploadBusy, UploadInfo
 from service.bodies import BUFFER_BYTES, limited
+from service.callers import current
 from service.ingest import store_scan
 from service.job_view import moment
 from service.multipart import Form
@@ -85,7 +86,7 @@ async def create_upload(request: Request, services: Needs) -> Response:
     _require_room(length, services)
     metadata = request.headers.get("upload-metadata", "")
     name = clean_filename(filename_of(metadata))
-    info = await run_in_threadpool(services.uploads.create, length, name, metadata, None)
+    info = await run_in_threadpool(services.uploads.create, length, name, metadata, current().owner)
     if request.headers.get("content-type") == CHUNK_TYPE:
         info = await _append(info, request, services)
     headers = headers_of(info, services.uploads) | {"Location": f"/v1/uploads/{info.id}"}
@@ -195,7 +196,7 @@ async def delete_upload(upload_id: str, request: Request, services: Needs) -> Re
 
 async def _find(upload_id: str, services: Services) -> UploadInfo:
     info = await run_in_threadpool(services.uploads.read, upload_id)
-    if info is not None:
+    if info is not None and current().sees(info.caller):
         return info
     if await run_in_threadpool(services.records.is_gone, upload_id):
         raise Problem("gone", "This upload was deleted or has expired; begin a new one.")
