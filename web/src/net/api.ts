@@ -184,25 +184,27 @@ export function createJob(
   scanId: string,
   preset: string,
   config: Record<string, unknown>,
+  name: string,
   once: string,
 ): Promise<Job> {
-  const body = { scan_id: scanId, preset, config };
+  const body = { scan_id: scanId, preset, config, metadata: { name: name.slice(0, 200) } };
   return json<Job>("v1/jobs", post(body, { "Idempotency-Key": once }));
 }
 
 export interface Estimate {
-  seconds: number;
+  seconds: { expected: number; low: number; high: number };
 }
 
-/** How long a job would take here. */
-export async function estimate(
+/** What a job for a scan would take on this machine. Nothing is queued. */
+export function estimate(
   scanId: string,
   preset: string,
   config: Record<string, unknown>,
-): Promise<Estimate | null> {
+): Promise<Estimate> {
   const body = { scan_id: scanId, preset, config };
-  const answer = await json<{ estimate?: Estimate }>("v1/jobs?validate_only=true", post(body));
-  return answer.estimate ?? null;
+  return json<{ estimate: Estimate }>("v1/jobs?validate_only=true", post(body)).then(
+    (answer) => answer.estimate,
+  );
 }
 
 /** A slice across an axis. */

@@ -1,11 +1,12 @@
 /** Colour maps, even to the eye, as eight stops between which colours are mixed. */
 
-export type MapName = "viridis" | "magma" | "cividis";
+export type MapName = "viridis" | "magma" | "cividis" | "plasma";
 export type Rgb = [number, number, number];
 
 const STOPS: Record<MapName, string> = {
   viridis: "440154 46327e 365c8d 277f8e 1fa187 4ac16d a0da39 fde725",
   magma: "000004 221150 5f187f 982d80 d3436e f8765c febb81 fcfdbf",
+  plasma: "0d0887 5302a3 8b0aa5 b83289 db5c68 f48849 febd2a f0f921",
   cividis: "00224e 213b6e 4c556c 6c6e72 8e8a79 b2a76f d9c55c fee838",
 };
 
@@ -26,6 +27,19 @@ export function colorAt(name: MapName, place: number): Rgb {
 export function table(name: MapName, size = 256): Uint8Array {
   const bytes = new Uint8Array(4 * size);
   for (let i = 0; i < size; i++) bytes.set([...colorAt(name, i / (size - 1)), 255], 4 * i);
+  return bytes;
+}
+
+/** The colour of a point by its round, 0 for the first to 1 for the last: away from the ink of
+ * measured points, and dark enough for paper. */
+export function ageColor(place: number): Rgb {
+  return colorAt("plasma", 0.3 + 0.52 * place);
+}
+
+/** `ageColor` as a table, for a texture. */
+export function ageTable(size = 256): Uint8Array {
+  const bytes = new Uint8Array(4 * size);
+  for (let i = 0; i < size; i++) bytes.set([...ageColor(i / (size - 1)), 255], 4 * i);
   return bytes;
 }
 

@@ -36,6 +36,13 @@ export function length(value: number): string {
   return size >= 1000 ? count(value) : significant(value, 3);
 }
 
+/** A place along an axis: as exact as a thousandth of the extent asks for. */
+export function placeWithin(value: number, extent: number): string {
+  const step = 10 ** Math.floor(Math.log10(extent / 1000 || 1));
+  const rounded = Math.round(value / step) * step;
+  return step >= 1 ? count(rounded) : rounded.toFixed(Math.min(Math.round(-Math.log10(step)), 9));
+}
+
 /** Bounds of a box, as "0.214 × 0.214 × 0.341". */
 export function box(extent: readonly number[]): string {
   return extent.map(length).join(" × ");

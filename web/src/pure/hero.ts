@@ -1,32 +1,40 @@
-/** What is seen before there is a scan: a shell that grows in rounds, like a scan that is
- * densified. Made by formula, so that nothing is loaded for it. */
+/** What is seen before there is a scan: a shell that grows along its spiral. Made by formula, so
+ * that nothing is loaded for it. */
 
 import type { Frame } from "./frame";
 
-const TURNS = 2.6;
-const GROWTH = 0.19;
-const WIDTH = 0.62;
-const ROUNDS = 9;
-const FIRST = 2600;
-const EACH = 1500;
+const TURNS = 3.1;
+const GROWTH = 0.175;
+const WIDTH = 0.5; // of the tube, for a spiral of radius 1
+const POINTS = 26_000;
 
-/** The shell after so many rounds, 0 to `heroRounds`. */
+export const heroRounds = 24;
+export const heroPoints = POINTS;
+
+/** The shell after so many rounds, 1 to `heroRounds`. */
 export function heroFrame(round: number): Frame {
-  const count = FIRST + EACH * round;
   const random = generator(7);
+  // even over the surface, which grows with the square of the radius
+  const wide = Math.exp(2 * GROWTH * 2 * Math.PI * TURNS) - 1;
+  const turns = Array.from(
+    { length: POINTS },
+    () => Math.log(1 + random() * wide) / (2 * GROWTH),
+  ).sort((first, second) => first - second);
+  const count = Math.round(
+    (POINTS * (Math.exp((3.2 * round) / heroRounds) - 1)) / (Math.exp(3.2) - 1),
+  );
   const positions = new Uint16Array(3 * count);
   const born = new Uint8Array(count);
   for (let i = 0; i < count; i++) {
-    const [x, y, z] = shellPoint(random(), random());
-    positions.set([code(x), code(y), code(z)], 3 * i);
-    born[i] = i < FIRST ? 0 : Math.floor((i - FIRST) / EACH) + 1;
+    positions.set(shellPoint(turns[i], random()).map(code), 3 * i);
+    born[i] = 1 + Math.floor((heroRounds - 1) * (turns[i] / turns[POINTS - 1]) ** 1.4);
   }
   return {
     kind: "points",
     sequence: round,
     total: count,
     round,
-    rounds: ROUNDS,
+    rounds: heroRounds,
     origin: [-0.5, -0.5, -0.5],
     scale: 1,
     positions,
@@ -35,18 +43,18 @@ export function heroFrame(round: number): Frame {
   };
 }
 
-export const heroRounds = ROUNDS;
-export const heroPoints = FIRST + EACH * ROUNDS;
-
-/** A point of a logarithmic spiral tube, more where it is wide. */
-function shellPoint(along: number, around: number): [number, number, number] {
-  const turn = 2 * Math.PI * TURNS * along ** 0.42;
-  const reach = Math.exp(GROWTH * (turn - 2 * Math.PI * TURNS)) / 2.35;
+/** A point of a tube along a logarithmic spiral. */
+function shellPoint(turn: number, around: number): [number, number, number] {
+  const reach = Math.exp(GROWTH * (turn - 2 * Math.PI * TURNS)) / 2.5;
   const angle = 2 * Math.PI * around;
-  const rib = 1 + 0.025 * Math.cos(9 * turn);
-  const wide = WIDTH * reach * rib;
-  const from = reach + wide * Math.cos(angle);
-  return [from * Math.cos(turn) + 0.06, 0.8 * wide * Math.sin(angle), from * Math.sin(turn) + 0.05];
+  const wide = WIDTH * reach * (1 + 0.03 * Math.cos(11 * turn));
+  const from = 0.86 * reach + wide * Math.cos(angle);
+  const place = turn - 2 * Math.PI * TURNS + 0.6;
+  return [
+    from * Math.cos(place) - 0.04,
+    0.62 * wide * Math.sin(angle),
+    from * Math.sin(place) + 0.04,
+  ];
 }
 
 function code(value: number): number {

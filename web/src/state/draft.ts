@@ -1,17 +1,17 @@
 /** A scan that was dropped but not sent: its preview, its parameters, its way to the service. */
 
-import { computed, signal } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 import {
   type Config,
   createJob,
+  estimate,
   getSample,
-  type Info,
   type Job,
   makeSample,
-  Problem,
   type ScanInfo,
 } from "../net/api";
 import { Upload, type UploadState } from "../net/upload";
+import type { TimeLeft } from "../pure/eta";
 import type { Scan } from "../pure/formats/collector";
 import type { ScanAnswer } from "../workers/scan.worker";
 import { go, info, isPhone, jobs, spoken } from "./app";
@@ -46,6 +46,10 @@ export const starting = signal(false);
 let sending: Upload | null = null;
 let reader: Worker | null = null;
 
+/** What the service expects of the chosen job; null where the scan is not there yet. */
+const expected = signal<TimeLeft | null>(null);
+let scanId: string | null = null;
+
 /** What the job will be given besides its preset. */
 export const changes = computed(() => {
   const wanted = choice.value;
@@ -54,11 +58,22 @@ export const changes = computed(() => {
   return changesOf(wanted, base);
 });
 
-/** About how long it will take here, from what finished jobs took; null if there is none. */
-export const guess = computed(() => {
+/** About how long it will take here: by the service's own estimate, else by what the most similar
+ * job took; null if there is none. */
+export const guess = computed((): TimeLeft | null => {
   const wanted = choice.value;
-  if (!wanted) return null;
-  return guessedSeconds(wanted, preview.value?.total ?? 0, jobs.value);
+  if (!wanted || expected.value) return expected.value;
+  const seconds = guessedSeconds(wanted, preview.value?.total ?? 0, jobs.value);
+  return seconds === null ? null : { low: seconds, high: seconds };
+});
+
+effect(() => {
+  const wanted = choice.value;
+  const config = changes.value;
+  expected.value = null;
+  if (!wanted || !scanId) return;
+  const timer = setTimeout(() => void expect(wanted.preset, config), 150);
+  return () => clearTimeout(timer);
 });
 
 /** Takes a file: shows what is in it, and sends nothing. */
@@ -80,7 +95,10 @@ export function take(file: Blob, name: string, sample: string | null = null): vo
 
 /** Takes a scan that the service makes. */
 export async function takeSample(name: string): Promise<void> {
-  take(await getSample(name), `${name}.ply`, name);
+  const [file, scan] = await Promise.all([getSample(name), makeSample(name)]);
+  take(file, `${name}.ply`, name);
+  scanId = scan.id;
+  choice.value = choice.value && { ...choice.value };
 }
 
 /** Begins with the parameters of a preset. */
@@ -105,7 +123,7 @@ export async function start(): Promise<void> {
   problem.value = null;
   try {
     const scan = current.sample ? await makeSample(current.sample) : await send(current);
-    const job = await createJob(scan.id, wanted.preset, changes.value, crypto.randomUUID());
+    const job = await createJob(scan.id, wanted.preset, changes.value, current.name, once());
     spoken.value = `${current.name} is uploaded; the job is queued.`;
     go({ page: "job", id: job.id });
   } catch (error) {
@@ -117,10 +135,16 @@ export async function start(): Promise<void> {
   }
 }
 
+/** A key that makes a repeated request harmless. `crypto.randomUUID` is for https alone. */
+function once(): string {
+  return crypto.getRandomValues(new Uint32Array(4)).join("-");
+}
+
 /** Lets go of the scan. */
 export function forget(): void {
   sending?.stop();
   reader?.terminate();
+  scanId = null;
   for (const cleared of [draft, preview, problem, upload, choice]) cleared.value = null;
   reading.value = false;
 }
@@ -128,6 +152,15 @@ export function forget(): void {
 export const pause = () => sending?.pause();
 export const goOn = () => sending?.goOn();
 export const stopUpload = () => sending?.stop();
+
+async function expect(preset: string, config: Record<string, unknown>): Promise<void> {
+  try {
+    const { seconds } = await estimate(scanId as string, preset, config);
+    if (choice.value?.preset === preset) expected.value = { low: seconds.low, high: seconds.high };
+  } catch {
+    expected.value = null; // the job itself will say what is wrong with it
+  }
+}
 
 async function send(current: Draft): Promise<ScanInfo> {
   sending = new Upload(current.file, current.name, (state) => {
@@ -169,5 +202,3 @@ export function guessedSeconds(wanted: Choice, points: number, known: Job[]): nu
 function off(first: number, second: number): number {
   return Math.abs(Math.log(Math.max(first, 1) / Math.max(second, 1)));
 }
-
-export { type Info, Problem };

@@ -53,10 +53,7 @@ export const sliceAt = computed(() => {
 
 export function toggleHeat(): void {
   heat.value = !heat.value;
-  if (heat.value) {
-    compare();
-    if (shown.value === "mesh") shown.value = "both";
-  }
+  if (heat.value) compare();
 }
 
 export function toggleSlice(): void {

@@ -1,4 +1,4 @@
-import { duration } from "../pure/eta";
+import { duration, inWords } from "../pure/eta";
 import { box, bytes, count } from "../pure/format";
 import type { Scan } from "../pure/formats/collector";
 import { info } from "../state/app";
@@ -62,7 +62,7 @@ export function warningsOf(scan: Scan): string[] {
 function Settings() {
   const names = Object.keys(info.value?.presets ?? {});
   const wanted = draft.choice.value;
-  const seconds = draft.guess.value;
+  const left = draft.guess.value;
   return (
     <form
       onSubmit={(event) => {
@@ -84,9 +84,9 @@ function Settings() {
             <span>{ABOUT[name] ?? ""}</span>
             {wanted?.preset === name && (
               <small>
-                {seconds === null
+                {left === null
                   ? "no such job was timed here yet"
-                  : `about ${duration(seconds)} here`}
+                  : `${inWords(left)} on this machine`}
               </small>
             )}
           </label>

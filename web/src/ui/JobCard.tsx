@@ -15,7 +15,7 @@ const WORDS: Record<Job["state"], string> = {
 
 /** A job in a list, with its picture. */
 export function JobCard({ job, onPick }: { job: Job; onPick?: () => void }) {
-  const title = job.points ? `${count(job.points)} points` : "A scan";
+  const title = job.metadata.name ?? "A scan";
   const when = ago((Date.now() - Date.parse(job.created_at)) / 1000);
   return (
     <li>
@@ -27,7 +27,10 @@ export function JobCard({ job, onPick }: { job: Job; onPick?: () => void }) {
             <i class={`state ${job.state}`} /> {WORDS[job.state]}
             {job.state === "running" && ` ${Math.round(100 * job.progress)} %`}
           </span>
-          <small>{when}</small>
+          <small>
+            {when}
+            {job.points ? ` · ${count(job.points)} points` : ""}
+          </small>
         </span>
       </a>
     </li>

@@ -1,7 +1,7 @@
 /** What the colours mean, in numbers. */
 
-import { colorAt, css, gradient, type MapName } from "../pure/colormap";
-import { count, length } from "../pure/format";
+import { ageColor, css, gradient, type MapName } from "../pure/colormap";
+import { length, placeWithin } from "../pure/format";
 import { draft } from "../state/draft";
 import { compared, frames, result, scan } from "../state/job";
 import * as look from "../state/look";
@@ -21,9 +21,7 @@ export function Legends() {
 function RoundLegend() {
   const frame = frames.value.points;
   if (!frame || frame.round === 0) return null;
-  const last = colorAt("viridis", 0.92);
-  const first = colorAt("viridis", 0.12);
-  const between = Array.from({ length: 6 }, (_, i) => css(colorAt("viridis", 0.12 + 0.16 * i)));
+  const stops = [0, 0.2, 0.4, 0.6, 0.8, 1].map((place) => css(ageColor(place)));
   return (
     <div class="legend" role="img" aria-label={`Points by round, 1 to ${frame.rounds}`}>
       <p>
@@ -33,7 +31,7 @@ function RoundLegend() {
       <i
         class="ramp"
         style={{
-          background: `linear-gradient(to right, ${[css(first), ...between, css(last)].join(", ")})`,
+          background: `linear-gradient(to right, ${stops.join(", ")})`,
         }}
       />
       <p class="ends">
@@ -119,7 +117,7 @@ function SliceLegend() {
             look.askForSlice();
           }}
         />
-        <output>{about ? length(look.sliceAt.value) : ""}</output>
+        <output>{about ? placeWithin(look.sliceAt.value, Math.max(...about.extent)) : ""}</output>
       </div>
       {!look.heat.value && <MapChoice />}
     </div>
@@ -136,7 +134,7 @@ function MapChoice() {
           look.map.value = event.currentTarget.value as MapName;
         }}
       >
-        {(["viridis", "magma", "cividis"] as const).map((name) => (
+        {(["viridis", "magma", "plasma", "cividis"] as const).map((name) => (
           <option key={name} value={name}>
             {name}
           </option>
@@ -145,5 +143,3 @@ function MapChoice() {
     </label>
   );
 }
-
-export { count };

@@ -2,7 +2,6 @@
 
 import { effect, signal, untracked } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { css } from "../pure/colormap";
 import { bounds } from "../pure/distance";
 import { length } from "../pure/format";
 import type { Frame } from "../pure/frame";
@@ -20,7 +19,7 @@ import { Toolbar } from "./Toolbar";
 export const viewer = signal<Viewer | null>(null);
 const lost = signal(false);
 const unable = signal<string | null>(null);
-const HERO_STEP_MS = 170;
+const HERO_STEP_MS = 60;
 const PALETTES = {
   light: { background: "#f0eeea", ink: "#2c4350", plain: "#dcdbd6" },
   dark: { background: "#0f1214", ink: "#a9bcc4", plain: "#b9bcbb" },
@@ -119,12 +118,12 @@ function showHero(made: Viewer): () => void {
     clearTimeout(timer);
     if (route.value.page !== "start" || draft.value) return;
     made.clear();
-    made.setBounds([-0.5, -0.34, -0.46], [0.5, 0.34, 0.5]);
+    made.setBounds(...boundsOf(heroFrame(heroRounds)));
     const grow = (round: number) => {
       made.showFrame(heroFrame(round), heroPoints);
       if (round < heroRounds) timer = window.setTimeout(() => grow(round + 1), HERO_STEP_MS);
     };
-    grow(prefersStill.matches ? heroRounds : 0);
+    grow(prefersStill.matches ? heroRounds : 1);
   });
   return () => {
     clearTimeout(timer);
@@ -231,17 +230,19 @@ function lookNow(): Look {
     mesh: shown !== "points" && !isHero,
     wireframe: look.wireframe.value,
     flat: look.flat.value,
-    meshColors:
-      look.meshColors.value === "plain" && inColor && isResult ? "scan" : look.meshColors.value,
+    meshColors: meshColorsNow(inColor && isResult && !heat),
     pointColors: heat ? "distance" : isHero || isRunning ? "round" : inColor ? "scan" : "ink",
     slice: look.slicing.value && isResult,
     split: isResult ? look.split.value : null,
   };
 }
 
+function meshColorsNow(inColor: boolean): Look["meshColors"] {
+  if (look.meshColors.value === "normals") return "normals";
+  return inColor ? "scan" : "plain";
+}
+
 /** CSS of the ink that measured points are drawn in. */
 export function inkNow(): string {
   return PALETTES[isDark() ? "dark" : "light"].ink;
 }
-
-export { css };

@@ -19,7 +19,7 @@ export function lossChart(host: HTMLElement, data: uPlot.AlignedData): uPlot {
       padding: [8, 6, 0, 0],
       legend: { show: false },
       cursor: { drag: { x: false, y: false }, points: { size: 6 } },
-      scales: { x: { time: false }, y: { distr: 3, range: widened } },
+      scales: { x: { time: false }, y: isWide(data) ? { distr: 3 } : { range: widened } },
       axes: [
         { ...axis, size: 24, gap: 4, values: (_, ticks) => ticks.map((value) => `${value} s`) },
         { ...axis, size: 58, gap: 6, values: (_, ticks) => ticks.map(short) },
@@ -31,9 +31,15 @@ export function lossChart(host: HTMLElement, data: uPlot.AlignedData): uPlot {
   );
 }
 
-/** A little room above and below, so that an even loss is a line in the middle. */
-function widened(_: uPlot, low: number, high: number): [number, number] {
-  return [low / 1.3, high * 1.3];
+/** Whether the loss spans so much that its powers of ten are what matters. */
+function isWide(data: uPlot.AlignedData): boolean {
+  const values = data[1] as number[];
+  return Math.max(...values) > 8 * Math.min(...values);
+}
+
+/** From nothing, with a little room above: an even loss is to look even. */
+function widened(_: uPlot, __: number, high: number): [number, number] {
+  return [0, high * 1.25];
 }
 
 function short(value: number | null): string {

@@ -34,12 +34,15 @@ uniform float dot_size, most_size, fade, top, rounds;
 uniform int newest, mode;
 uniform vec3 ink;
 uniform vec4 clip;
-uniform sampler2D ramp;
+uniform sampler2D ramp, ages;
 out vec3 tint;
 void main() {
   vec4 world = modelMatrix * vec4(position, 1.0);
   vec4 seen = viewMatrix * world;
   gl_Position = projectionMatrix * seen;
+  // a little nearer than they are, so that a mesh through them does not hide them
+  vec4 nearer = projectionMatrix * vec4(seen.xy, seen.z + 0.006, 1.0);
+  gl_Position.z = nearer.z / nearer.w * gl_Position.w;
   bool is_new = newest > 0 && int(born + 0.5) == newest;
   float size = clamp(dot_size / -seen.z, 1.4, most_size);
   gl_PointSize = is_new ? size * fade * (1.0 + 1.6 * (1.0 - fade)) : size;
@@ -47,7 +50,7 @@ void main() {
   if (mode == 1) tint = shade;
   if (mode == 2 && born > 0.5) {
     float place = rounds > 1.0 ? (born - 1.0) / (rounds - 1.0) : 0.5;
-    tint = texture(ramp, vec2(0.12 + 0.8 * place, 0.5)).rgb;
+    tint = texture(ages, vec2(place, 0.5)).rgb;
   }
   if (mode == 3) tint = texture(ramp, vec2(value / top, 0.5)).rgb;
   if (dot(clip.xyz, world.xyz) > clip.w) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
@@ -68,7 +71,7 @@ export class PointsLayer {
   count = 0;
   private capacity = 0;
 
-  constructor(ramp: DataTexture) {
+  constructor(ramp: DataTexture, ages: DataTexture) {
     const material = new ShaderMaterial({
       glslVersion: GLSL3,
       vertexShader: VERTEX,
@@ -84,6 +87,7 @@ export class PointsLayer {
         ink: { value: new Vector3(0.2, 0.25, 0.3) },
         clip: { value: new Vector4(0, 0, 0, 1) },
         ramp: { value: ramp },
+        ages: { value: ages },
       },
     });
     this.object = new Points(new BufferGeometry(), material);

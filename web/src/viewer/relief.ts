@@ -38,12 +38,15 @@ void main() {
   if (depth >= 1.0) return;
   float own = log_depth(depth);
   float behind = 0.0;
-  for (int i = 0; i < 8; i++) {
+  // in pairs on opposite sides: a slope alone is no relief
+  for (int i = 0; i < 4; i++) {
     float angle = 0.7854 * float(i);
-    float other = texture(depths, at + pixel * vec2(cos(angle), sin(angle))).r;
-    behind += max(0.0, own - log_depth(other));
+    vec2 way = pixel * vec2(cos(angle), sin(angle));
+    float ahead = clamp(log_depth(texture(depths, at + way).r), own - 0.05, own + 0.05);
+    float back = clamp(log_depth(texture(depths, at - way).r), own - 0.05, own + 0.05);
+    behind += max(0.0, 2.0 * own - ahead - back);
   }
-  color.rgb *= exp(-strength * behind / 8.0);
+  color.rgb *= mix(0.42, 1.0, exp(-strength * behind / 4.0));
 }`;
 
 export class Relief {
@@ -68,7 +71,7 @@ export class Relief {
         pixel: { value: new Vector2() },
         near: { value: 0.1 },
         far: { value: 10 },
-        strength: { value: 30 },
+        strength: { value: 22 },
       },
     });
     this.quad = new Mesh(new PlaneGeometry(2, 2), material);
@@ -77,7 +80,7 @@ export class Relief {
 
   setSize(width: number, height: number, ratio: number): void {
     this.target.setSize(width, height);
-    this.quad.material.uniforms.pixel.value.set((1.2 * ratio) / width, (1.2 * ratio) / height);
+    this.quad.material.uniforms.pixel.value.set((1.3 * ratio) / width, (1.3 * ratio) / height);
   }
 
   /** Draws the target onto the canvas. */

@@ -41,6 +41,8 @@ void main() {
   color.rgb = mix(color.rgb, line, 1.0 - smoothstep(0.5, 0.85, d / cell));
 }`;
 
+const CUT = 0.085; // of the scan's largest extent, on each side
+
 export class SliceLayer {
   readonly object: Mesh<BufferGeometry, ShaderMaterial>;
   private slice: Slice | null = null;
@@ -117,19 +119,32 @@ function textureOf(slice: Slice): DataTexture {
   return texture;
 }
 
-/** The plane from the centre of the first cell to that of the last. */
+/** First and last cell that are shown: the service leaves more room around the scan. */
+function shownRange(cells: number, size: number): [number, number] {
+  const cut = Math.min(CUT / size, cells / 3);
+  return [cut, cells - 1 - cut];
+}
+
+/** The plane as far as it is shown. */
 function quad(slice: Slice, space: Space): BufferGeometry {
   const corner = new Vector3(...placed(space, slice.first));
-  const across = new Vector3(...slice.right).multiplyScalar((slice.columns - 1) / space.extent);
-  const along = new Vector3(...slice.down).multiplyScalar((slice.rows - 1) / space.extent);
-  const corners = [
-    corner,
-    corner.clone().add(across),
-    corner.clone().add(across).add(along),
-    corner.clone().add(along),
+  const right = new Vector3(...slice.right).divideScalar(space.extent);
+  const down = new Vector3(...slice.down).divideScalar(space.extent);
+  const [left, rightmost] = shownRange(slice.columns, right.length());
+  const [top, bottom] = shownRange(slice.rows, down.length());
+  const cells = [
+    [left, top],
+    [rightmost, top],
+    [rightmost, bottom],
+    [left, bottom],
   ];
-  const [u, v] = [0.5 / slice.columns, 0.5 / slice.rows];
-  const places = [u, v, 1 - u, v, 1 - u, 1 - v, u, 1 - v];
+  const corners = cells.map(([column, row]) =>
+    corner.clone().addScaledVector(right, column).addScaledVector(down, row),
+  );
+  const places = cells.flatMap(([column, row]) => [
+    (column + 0.5) / slice.columns,
+    (row + 0.5) / slice.rows,
+  ]);
   const geometry = new BufferGeometry().setFromPoints(corners);
   geometry.setAttribute("uv", new BufferAttribute(new Float32Array(places), 2));
   geometry.setIndex([0, 1, 2, 0, 2, 3]);

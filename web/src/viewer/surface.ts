@@ -48,8 +48,8 @@ void main() {
   vec3 face = cross(dFdx(seen), dFdy(seen));
   vec3 n = normalize(flat_faces == 1 || dot(turned, turned) < 1e-12 ? face : turned);
   if (dot(n, seen) > 0.0) n = -n;
-  float light = 0.36 + 0.56 * max(dot(n, vec3(-0.42, 0.6, 0.68)), 0.0)
-    + 0.16 * max(dot(n, vec3(0.78, -0.12, 0.61)), 0.0);
+  float light = 0.46 + 0.56 * max(dot(n, vec3(-0.42, 0.6, 0.68)), 0.0)
+    + 0.14 * max(dot(n, vec3(0.78, -0.12, 0.61)), 0.0);
   vec3 base = mode == 1 ? tint : plain;
   color = vec4(base * light, 1.0);
   if (mode == 2) color.rgb = 0.5 + 0.5 * normalize((back * vec4(n, 0.0)).xyz);

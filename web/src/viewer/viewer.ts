@@ -16,7 +16,7 @@ import {
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { type MapName, table } from "../pure/colormap";
+import { ageTable, type MapName, table } from "../pure/colormap";
 import type { Frame } from "../pure/frame";
 import type { Slice } from "../pure/slice";
 import { type CloudData, type PointColors, PointsLayer } from "./points";
@@ -51,7 +51,7 @@ export interface Hover {
 }
 
 const FADE_MS = 900;
-const FRAMED = 0.8; // of the smaller side that the data fills
+const FRAMED = 0.84; // of the smaller side that the data fills
 const HOME = new Vector3(-0.52, -1, 0.46).normalize();
 
 ColorManagement.enabled = false; // all colours here are as the screen shows them
@@ -65,8 +65,9 @@ export class Viewer {
   private readonly controls: OrbitControls;
   private readonly relief = new Relief();
   private readonly ramp = new DataTexture(table("viridis"), 256, 1);
-  private readonly cloud = new PointsLayer(this.ramp);
-  private readonly input = new PointsLayer(this.ramp);
+  private readonly ages = new DataTexture(ageTable(), 256, 1);
+  private readonly cloud = new PointsLayer(this.ramp, this.ages);
+  private readonly input = new PointsLayer(this.ramp, this.ages);
   private readonly surface = new SurfaceLayer();
   private readonly slice = new SliceLayer(this.ramp);
   private readonly watching: ResizeObserver;
@@ -96,9 +97,11 @@ export class Viewer {
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "low-power" });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.renderer.autoClear = false;
-    this.ramp.minFilter = LinearFilter;
-    this.ramp.magFilter = LinearFilter;
-    this.ramp.needsUpdate = true;
+    for (const texture of [this.ramp, this.ages]) {
+      texture.minFilter = LinearFilter;
+      texture.magFilter = LinearFilter;
+      texture.needsUpdate = true;
+    }
     const layers = [this.input, this.cloud, this.surface, this.slice];
     this.scene.add(...layers.map((layer) => layer.object));
     this.camera.up.set(0, 0, 1);
@@ -264,6 +267,7 @@ export class Viewer {
     for (const layer of [this.cloud, this.input, this.surface, this.slice]) layer.dispose();
     this.relief.dispose();
     this.ramp.dispose();
+    this.ages.dispose();
     this.renderer.dispose();
   }
 
@@ -321,7 +325,7 @@ export class Viewer {
     const scale = height / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
     for (const layer of [this.cloud, this.input]) {
       const apart = Math.sqrt(2.2 / Math.max(layer.count, 500));
-      layer.uniforms.dot_size.value = 0.36 * apart * scale;
+      layer.uniforms.dot_size.value = 0.46 * apart * scale;
       layer.uniforms.most_size.value = 9 * this.renderer.getPixelRatio();
     }
   }

@@ -19,7 +19,7 @@ export function numbersOf(line: string): number[] | null {
   const words = line.trim().split(/[\s,;]+/);
   if (words.length < 3 || words[0] === "") return null;
   const numbers = words.map(Number);
-  return numbers.slice(0, 3).some((value, i) => Number.isNaN(value) && !isNan(words[i]))
+  return numbers.slice(0, 3).some((value, i) => Number.isNaN(value) && !isNoNumber(words[i]))
     ? null
     : numbers;
 }
@@ -78,6 +78,6 @@ export class RowReader {
   }
 }
 
-function isNan(word: string): boolean {
-  return /^[+-]?nan$/i.test(word);
+function isNoNumber(word: string): boolean {
+  return /^[+-]?(nan|inf(inity)?)$/i.test(word);
 }
