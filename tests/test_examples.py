@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -17,6 +18,7 @@ import pytest
 from api_process import free_port, wait_until_up
 from shapes import Sphere
 
+from udflow.client import Client
 from udflow.mesh.load import read_mesh
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +35,7 @@ def example(name: str, *arguments: str, **environment: str) -> subprocess.Comple
 
 def test_every_example_is_run_here() -> None:
     names = {path.stem for path in (ROOT / "examples").glob("*.py")}
-    assert names == {"reconstruct_in_memory", "http_client"}
+    assert names == {"reconstruct_in_memory", "http_client", "watch_job", "robot_path"}
 
 
 def test_reconstruct_in_memory(tmp_path: Path) -> None:
@@ -96,3 +98,45 @@ def test_http_client_says_why_a_scan_is_refused(guarded_service: str, tmp_path: 
     assert done.stderr.startswith("refused: ")
     done = example("http_client", *arguments, UDFLOW_KEY="wrong")
     assert "Authorization: Bearer" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def remote_job(guarded_service: str) -> str:
+    """The id of a finished job: a sphere of radius 0.5."""
+    with Client(guarded_service, KEY) as service:
+        scan = io.BytesIO()
+        np.save(scan, Sphere().sample(1_500).numpy())
+        job = service.submit(scan.getvalue(), config=QUICK)
+        return str(service.wait(job["id"])["id"])
+
+
+def test_watch_job(guarded_service: str, remote_job: str) -> None:
+    done = example("watch_job", remote_job, "--url", guarded_service, UDFLOW_KEY=KEY)
+    assert done.returncode == 0, done.stderr
+    assert "succeeded" in done.stdout
+    assert done.stdout.count("fitting") >= 1
+
+
+def test_robot_path(guarded_service: str, remote_job: str) -> None:
+    done = example("robot_path", remote_job, "--url", guarded_service, UDFLOW_KEY=KEY)
+    assert done.returncode == 0, done.stderr
+    closest = re.search(r"closest approach: ([\d.]+)", done.stdout)
+    assert closest is not None
+    assert float(closest[1]) == pytest.approx(0.25, abs=0.02)
+
+
+def test_curl(guarded_service: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "scan.npy", Sphere().sample(1_500).numpy())
+    environment = {"UDFLOW_URL": guarded_service, "UDFLOW_KEY": KEY, "CONFIG": json.dumps(QUICK)}
+    command = ["sh", str(ROOT / "examples" / "with_curl.sh"), "scan.npy", "mesh.glb"]
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(read_mesh(tmp_path / "mesh.glb").faces) > 500
+    assert '"distance": [0.50' in done.stdout

@@ -228,6 +228,7 @@ async def _write_all(chunks: AsyncIterator[bytes], file: BinaryIO) -> None:
                 buffer.clear()
     finally:
         file.write(buffer)  # at once: a canceled request could not wait for a thread
+        file.flush()
 
 
 def _opened(info: UploadInfo, held: ExitStack, services: Services) -> BinaryIO:

@@ -146,6 +146,7 @@ def test_what_is_no_scan_is_refused_at_the_end(client: httpx.Client) -> None:
     address = begin(client, len(data)).headers["location"]
     answer = send(client, address, 0, data)
     assert code(answer) == (422, "invalid_cloud")
+    assert "header" in answer.json()["detail"]
     state = client.get(address).json()
     assert (state["scan"], state["error"]["code"]) == (None, "invalid_cloud")
     head = client.head(address, headers=TUS)

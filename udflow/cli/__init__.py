@@ -13,8 +13,10 @@ from udflow.cli.exits import (
     FAILED,
     INTERRUPTED,
     OK,
+    REMOTE,
     USAGE,
     OutputError,
+    RemoteError,
     UsageError,
 )
 from udflow.cli.parser import build_parser
@@ -67,6 +69,8 @@ def _words_only(traceback: bool) -> Iterator[None]:
         _leave(str(error), USAGE)
     except (InvalidCloud, InvalidQuery, BadField) as error:
         _leave(str(error), BAD_INPUT)
+    except RemoteError as error:
+        _leave(str(error), REMOTE)
     except (UdflowError, OutputError) as error:
         _leave(str(error), FAILED)
     except MemoryError:

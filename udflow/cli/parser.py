@@ -37,6 +37,9 @@ def build_parser() -> argparse.ArgumentParser:
     _evaluate(commands)
     _inspect(commands)
     _presets(commands)
+    _submit(commands)
+    _watch(commands)
+    _fetch(commands)
     return parser
 
 
@@ -81,13 +84,14 @@ def _densify(commands: Commands) -> None:
 
 def _query(commands: Commands) -> None:
     command = _command(commands, "query", "unsigned distances from points to a fitted field")
-    command.add_argument("field", help="field written by `reconstruct --field`")
+    command.add_argument("field", help="written by `reconstruct --field`; or a job of a server")
     command.add_argument("points", help="query points, .npy (n, 3) or any format of a scan")
     command.add_argument("-o", "--output", required=True, metavar="NPY", help="answers to write")
     command.add_argument(
         "--gradients", action="store_true", help="unit vectors away from the surface, too"
     )
     command.add_argument("--closest", action="store_true", help="nearest surface points, too")
+    _server(command)
     command.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1, auto")
     _force(command)
     _json(command)
@@ -115,7 +119,58 @@ def _presets(commands: Commands) -> None:
     _json(_command(commands, "presets", "list the presets and their parameters"))
 
 
+def _submit(commands: Commands) -> None:
+    command = _command(commands, "submit", "send a scan to a server, which reconstructs it")
+    _scan(command)
+    command.add_argument("-o", "--output", metavar="MESH", help="wait, and write the mesh here")
+    command.add_argument("--format", choices=MESH_FORMATS, help="of the mesh; default: its suffix")
+    command.add_argument("--resolution", type=int, metavar="N", help="cells of the mesh")
+    command.add_argument(
+        "--estimate", action="store_true", help="say what it would take, and start nothing"
+    )
+    _parameters(command)
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    _force(command)
+    _server(command)
+    _json(command)
+
+
+def _watch(commands: Commands) -> None:
+    command = _command(commands, "watch", "follow a job on a server to its end")
+    command.add_argument("job", help="id that `submit` printed")
+    command.add_argument("--after", metavar="EVENT", help="id of the last event seen; 0-0: all")
+    command.add_argument("--quiet", action="store_true", help="only the exit code")
+    _server(command)
+    command.add_argument("--json", action="store_true", help="events as JSON, one a line")
+
+
+def _fetch(commands: Commands) -> None:
+    command = _command(commands, "fetch", "download what a job on a server has made")
+    command.add_argument("job", help="id that `submit` printed")
+    command.add_argument("-o", "--output", required=True, metavar="FILE", help="file to write")
+    command.add_argument(
+        "--what", choices=("mesh", "points", "field", "report"), default="mesh", help="which file"
+    )
+    command.add_argument("--format", choices=MESH_FORMATS, help="of the mesh; default: its suffix")
+    _force(command)
+    _server(command)
+
+
+def _server(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--url", help="of the server; default: UDFLOW_URL, else this machine; key: UDFLOW_KEY"
+    )
+
+
 def _run_options(command: argparse.ArgumentParser) -> None:
+    _parameters(command)
+    command.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1, auto")
+    command.add_argument("--quiet", action="store_true", help="no progress, no summary")
+    _force(command)
+    _json(command)
+
+
+def _parameters(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--preset", default="fast", help=f"one of: {', '.join(PRESET_NAMES)} (default: fast)"
     )
@@ -128,10 +183,6 @@ def _run_options(command: argparse.ArgumentParser) -> None:
         "may be repeated, and wins over the other options",
     )
     _seed(command)
-    command.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1, auto")
-    command.add_argument("--quiet", action="store_true", help="no progress, no summary")
-    _force(command)
-    _json(command)
 
 
 def _scan(command: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from udflow.cli.exits import UsageError
 from udflow.cli.files import STREAM, check_outputs, opened_input, print_json, write_output
 from udflow.cli.fitting import check_streams, checked_device
+from udflow.cli.remote import connected
 from udflow.errors import BadField, InvalidQuery
 
 if TYPE_CHECKING:
@@ -27,15 +29,31 @@ def run(options: argparse.Namespace) -> None:
     import numpy as np
 
     points = _points(options.points)
-    field = _field(options.field, checked_device(options.device))
     start = time.monotonic()
-    answer = field.query(points)
+    if is_job(options.field):
+        answer = _remote(points, options)
+    else:
+        field = _field(options.field, checked_device(options.device))
+        start = time.monotonic()
+        answer = field.query(points)
     seconds = time.monotonic() - start
     rows = _rows(answer, options)
     write_output(
         options.output, lambda file: np.save(file, rows, allow_pickle=False), force=options.force
     )
     _report(answer, seconds, options)
+
+
+def is_job(name: str) -> bool:
+    """Whether the field is that of a job on a server."""
+    return name.startswith("job_") and not os.path.exists(name)
+
+
+def _remote(points: NDArray[Any], options: argparse.Namespace) -> Any:
+    with connected(options) as client:
+        return client.query(
+            options.field, points, gradients=options.gradients, closest=options.closest
+        )
 
 
 def _points(name: str) -> NDArray[Any]:
