@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PORT ?= 8000
 
-.PHONY: default setup up check test fmt clean
+.PHONY: default setup page up check test fmt clean
 default: check test
 
 # Installed once per state of the project's own requirement files.
@@ -15,7 +15,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 
 setup: $(VENV)/.installed
 
-up: setup
+# Built where a Node can be had; without it the service runs, and says so.
+page: setup
+	$(BIN)/python web/build.py
+
+up: page
 	PORT=$(PORT) exec $(BIN)/python -m service.up
 
 check: setup
@@ -23,13 +27,16 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python web/build.py check
 
-test: setup
+test: page
+	$(BIN)/python web/build.py test
 	$(BIN)/python -m pytest
 
 fmt: setup
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+	cd web && npm run format
 
 clean:
-	rm -rf $(VENV) .udflow
+	rm -rf $(VENV) .udflow web/node_modules web/dist

@@ -19,6 +19,15 @@ RUN python requirements.py all > all.txt \
     && pip install --constraint constraints.txt -r all.txt \
     && python check_torch.py "$ACCELERATOR"
 
+# The page. NPM_CONFIG_REGISTRY: where npm finds packages; its own default if not given.
+FROM node:22.12.0-bookworm-slim AS page
+ARG NPM_CONFIG_REGISTRY
+WORKDIR /build
+COPY web/package.json web/package-lock.json ./
+RUN npm ci --ignore-scripts --no-audit --no-fund
+COPY web ./
+RUN npm run build
+
 FROM python:3.11.14-slim-bookworm
 RUN useradd --uid 10001 --no-create-home --shell /usr/sbin/nologin udflow \
     && install -d -o 10001 -g 10001 -m 0700 /data
@@ -31,6 +40,7 @@ COPY docker/service_health.py ./
 COPY udflow udflow
 COPY jobs jobs
 COPY service service
+COPY --from=page /build/dist web/dist
 USER 10001
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=3 \

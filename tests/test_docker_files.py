@@ -369,7 +369,8 @@ def test_everything_a_part_refers_to_is_there() -> None:
         assert set(part.get("depends_on", {})) <= set(whole["services"])
         if "build" in part:
             dockerfile = ROOT / part["build"]["dockerfile"]
-            declared = {s.rest.split("=")[0] for s in stages(dockerfile)[0] if s.word == "ARG"}
+            steps = [step for stage in stages(dockerfile) for step in stage]
+            declared = {s.rest.split("=")[0] for s in steps if s.word == "ARG"}
             assert set(part["build"]["args"]) == declared
         else:
             assert PINNED.fullmatch(part["image"])
