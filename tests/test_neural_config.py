@@ -26,6 +26,7 @@ LIMITS: list[tuple[type, str, list[Any], list[Any]]] = [
     (NetworkConfig, "start", ["linear", "he", "sphere"], ["zero"]),
     (TrainingConfig, "iterations", [1, 10_000_000], [0, 10_000_001]),
     (TrainingConfig, "batch", [100, 1_000_000], [99, 1_000_001]),
+    (TrainingConfig, "optimiser", ["adam", "muon"], ["sgd"]),
     (TrainingConfig, "learning_rate", [1e-9, 1.0], [0.0, -1e-3, 1.1, float("nan")]),
     (TrainingConfig, "warmup", [0, 1_000_000], [-1, 1_000_001]),
     (TrainingConfig, "queries", [1_000, 100_000_000], [999, 100_000_001]),
@@ -70,7 +71,7 @@ def test_the_paper_to_the_letter(capsys: pytest.CaptureFixture[str]) -> None:
         "relu",
         "learned",
     )
-    assert training["iterations"] == 60_000
+    assert (training["iterations"], training["optimiser"]) == (60_000, "adam")
     assert (training["learning_rate"], training["warmup"]) == (1e-3, 1_000)
     assert (training["targets"], training["value_weight"]) == ("points", 0.0)
     assert densify == {

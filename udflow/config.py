@@ -164,6 +164,7 @@ _PAPER = {
     "training": TrainingConfig(
         iterations=60_000,
         batch=5_000,
+        optimiser="adam",
         learning_rate=1e-3,
         warmup=1_000,
         queries=1_000_000,

@@ -11,6 +11,7 @@ Output = Literal["abs", "relu", "softplus"]
 Start = Literal["linear", "he", "sphere"]
 Targets = Literal["points", "quadrics"]
 Precision = Literal["float32", "tf32", "bfloat16"]
+Optimiser = Literal["adam", "muon"]
 PullLoss = Literal["chamfer", "points"]
 Scale = Literal["learned", "ideal"]
 
@@ -19,6 +20,7 @@ STARTS: tuple[Start, ...] = ("linear", "he", "sphere")
 TARGETS: tuple[Targets, ...] = ("points", "quadrics")
 PRECISIONS: tuple[Precision, ...] = ("float32", "tf32", "bfloat16")
 SCALES: tuple[Scale, ...] = ("learned", "ideal")
+OPTIMISERS: tuple[Optimiser, ...] = ("adam", "muon")
 PULL_LOSSES: tuple[PullLoss, ...] = ("chamfer", "points")
 
 
@@ -55,7 +57,7 @@ class NetworkConfig(Strict):
     activation: Literal["relu"] = "relu"
     output: Output = "abs"
     scale: Scale = "ideal"
-    start: Start = "he"
+    start: Start = "linear"
 
     def __post_init__(self) -> None:
         require(1 <= self.layers <= 64, f"network.layers is {self.layers}; choose 1 to 64")
@@ -81,11 +83,13 @@ class NetworkConfig(Strict):
 
 @dataclass(frozen=True)
 class TrainingConfig(Strict):
-    """Adam on equation (3).
+    """Training on equation (3).
 
     iterations: of all fits together. With rounds of densification the first fit gets half of
         them, the rounds share the rest.
     batch: trajectories an iteration, spread evenly over the times t_1..t_K.
+    optimiser: "adam" is the paper's; "muon" turns the updates of square matrices into orthogonal
+        ones, and gets out of flat starts much sooner.
     learning_rate: the highest, after `warmup` iterations; then it falls like a cosine to zero.
     queries: trajectories drawn before a fit, and used again and again.
     spread: standard deviation of queries around their sample, in distances to its 50th neighbour.
@@ -100,6 +104,7 @@ class TrainingConfig(Strict):
 
     iterations: int = 6_000
     batch: int = 2_000
+    optimiser: Optimiser = "muon"
     learning_rate: float = 2e-3
     warmup: int = 200
     queries: int = 400_000
@@ -129,6 +134,7 @@ class TrainingConfig(Strict):
             f"training.value_weight is {self.value_weight}; choose 0 (off) to 1000",
         )
         require(0.0 <= self.far <= 1.0, f"training.far is {self.far}; choose a share, 0 to 1")
+        _one_of("training.optimiser", self.optimiser, OPTIMISERS)
         _one_of("training.targets", self.targets, TARGETS)
         _one_of("training.pull_loss", self.pull_loss, PULL_LOSSES)
         _one_of("training.precision", self.precision, PRECISIONS)

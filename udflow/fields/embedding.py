@@ -26,11 +26,12 @@ class PositionEmbedding:
     @classmethod
     def of(cls, points: Tensor, frequencies: int) -> PositionEmbedding:
         """The embedding of (n, 3) points with F frequencies."""
-        octaves = math.pi * 2.0 ** torch.arange(frequencies, device=points.device)
-        angles = octaves[:, None].to(points.dtype) * points[:, None, :]
+        powers = torch.arange(frequencies, device=points.device, dtype=points.dtype)
+        octaves = math.pi * torch.exp2(powers)
+        angles = octaves[:, None] * points[:, None, :]
         sine, cosine = angles.sin(), angles.cos()
         waves = torch.stack([sine, cosine], dim=2)
-        slopes = torch.stack([cosine, -sine], dim=2) * octaves[:, None, None].to(points.dtype)
+        slopes = torch.stack([cosine, -sine], dim=2) * octaves[:, None, None]
         values = torch.cat([points, waves.flatten(1)], dim=1)
         return cls(values, slopes.flatten(1, 2))
 

@@ -1,4 +1,4 @@
-"""Adam on one flat tensor, in place and without asking the device for a number."""
+"""Optimisers on one flat tensor, in place and without asking the device for a number."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ import math
 import torch
 from torch import Tensor
 
-_MEAN_DECAY, _SQUARE_DECAY, _EPSILON = 0.9, 0.999, 1e-15
+from udflow.fields.network import Network, Weights
+from udflow.neural_config import Optimiser
+
+_MEAN_DECAY, _SQUARE_DECAY, _EPSILON = 0.9, 0.999, 1e-15  # gradients of squared lengths are tiny
+_NEWTON_SCHULZ = (3.4445, -4.7750, 2.0315)
+_NEWTON_SCHULZ_STEPS = 5
+_RMS = 0.2  # of an orthogonalised update: about that of Adam's, so that both take one rate
 
 
 class Adam:
@@ -26,19 +32,70 @@ class Adam:
         self._parameters = parameters
         self._rate = parameters.new_zeros(())
         self._correction = parameters.new_ones(())
-        self._spare = torch.empty_like(parameters)
+        self._begun = parameters.new_ones(())
+        self._direction = torch.empty_like(parameters)
 
     def prepare(self, rate: float) -> None:
         """Sets the learning rate of the next step; from the host, without waiting."""
         self.steps += 1
-        self._rate.fill_(-rate / (1 - _MEAN_DECAY**self.steps))
+        begun = 1 - _MEAN_DECAY**self.steps
+        self._begun.fill_(begun)
+        self._rate.fill_(-rate / begun)
         self._correction.fill_(1 / math.sqrt(1 - _SQUARE_DECAY**self.steps))
 
     def step(self, gradient: Tensor) -> None:
         """Moves the parameters. Only kernels on the device."""
         self.mean.lerp_(gradient, 1 - _MEAN_DECAY)
         self.square.mul_(_SQUARE_DECAY).addcmul_(gradient, gradient, value=1 - _SQUARE_DECAY)
-        torch.sqrt(self.square, out=self._spare)
-        self._spare.mul_(self._correction).add_(_EPSILON)
-        torch.div(self.mean, self._spare, out=self._spare)
-        self._parameters.addcmul_(self._spare, self._rate)
+        torch.sqrt(self.square, out=self._direction)
+        self._direction.mul_(self._correction).add_(_EPSILON)
+        torch.div(self.mean, self._direction, out=self._direction)
+        self._turn(gradient)
+        self._parameters.addcmul_(self._direction, self._rate)
+
+    def _turn(self, gradient: Tensor) -> None:
+        """Changes the direction before it is taken. Adam's stays as it is."""
+
+
+class Muon(Adam):
+    """Adam, but the square matrices between hidden layers move along the orthogonal matrix nearest
+    to their momentum (Jordan et al. 2024; scale of the update after Liu et al. 2025).
+
+    No direction in such a matrix is then left behind because its gradient is small: a rectified
+    network gets out of the flat start of equation (3), where d and grad d are both small.
+    """
+
+    def __init__(self, parameters: Tensor, network: Network) -> None:
+        super().__init__(parameters)
+        self._network = network
+
+    def _turn(self, gradient: Tensor) -> None:
+        momentum = self._network.views(torch.lerp(gradient, self.mean, _MEAN_DECAY))
+        direction = self._network.views(self._direction)
+        names = _between_hidden_layers(direction)
+        if not names:
+            return
+        turned = orthogonalised(torch.stack([momentum[name] for name in names]))
+        scale = _RMS * math.sqrt(self._network.config.width) * self._begun
+        for name, matrix in zip(names, turned, strict=True):
+            torch.mul(matrix, scale, out=direction[name])
+
+
+def orthogonalised(matrices: Tensor) -> Tensor:
+    """(m, h, h) matrices with all singular values moved towards 1 (to 0.7 .. 1.2), by a
+    Newton-Schulz iteration of fifth order."""
+    a, b, c = _NEWTON_SCHULZ
+    x = matrices / (matrices.flatten(1).norm(dim=1)[:, None, None] + 1e-30)
+    for _ in range(_NEWTON_SCHULZ_STEPS):
+        square = x @ x.mT
+        x = torch.baddbmm(x, torch.baddbmm(square, square, square, beta=b, alpha=c), x, beta=a)
+    return x
+
+
+def optimiser_for(kind: Optimiser, parameters: Tensor, network: Network) -> Adam:
+    """The optimiser that a configuration asks for."""
+    return Muon(parameters, network) if kind == "muon" else Adam(parameters)
+
+
+def _between_hidden_layers(weights: Weights) -> list[str]:
+    return [name for name in weights if name.startswith("layer") and name.endswith(".weight")]

@@ -14,7 +14,7 @@ from udflow.errors import Diverged
 from udflow.fields.network import Network
 from udflow.fields.outputs import output_factor
 from udflow.fields.passes import Pass, TimedNetwork
-from udflow.fit.adam import Adam
+from udflow.fit.adam import optimiser_for
 from udflow.fit.objectives import Objective
 from udflow.fit.queries import Trajectories
 from udflow.flow.schedule import TimeSchedule
@@ -74,7 +74,7 @@ class Trainer:
     ) -> None:
         self.network = network
         self.parameters = parameters
-        self.adam = Adam(parameters)
+        self.optimiser = optimiser_for(config.optimiser, parameters, network)
         self.iteration = 0
         self.iterations = iterations
         self.generator = generator
@@ -94,6 +94,7 @@ class Trainer:
         times = schedule.times if schedule is not None else (1.0,)
         per_time = min(batch, len(self._trajectories)) // len(times)
         self._rows = per_time * len(times)
+        self._batches = len(self._trajectories) // self._rows
         self._times = self.parameters.new_tensor(times)
         self._row_times = self._times.repeat_interleave(per_time)[:, None]
         self._factor = output_factor(self.network.config.scale, self._row_times[:, 0])
@@ -129,14 +130,13 @@ class Trainer:
         """One iteration, without waiting for the device."""
         self._index.copy_(self._next_rows(), non_blocking=True)
         rate = learning_rate(self.iteration, self.iterations, self._config)
-        self.adam.prepare(rate * self.rate_scale)
+        self.optimiser.prepare(rate * self.rate_scale)
         self._step()
         self.iteration += 1
 
     def _next_rows(self) -> Tensor:
         """Rows of the next batch: all trajectories in random order, then in another order."""
-        batches = len(self._trajectories) // self._rows
-        number = self.iteration % batches
+        number = self.iteration % self._batches
         if number == 0 or len(self._order) == 0:
             self._new_order()
         return self._order[number * self._rows : (number + 1) * self._rows]
@@ -147,6 +147,11 @@ class Trainer:
         if self.parameters.is_cuda:
             order = order.pin_memory()
         self._order = order.to(self.parameters.device, non_blocking=True)
+
+    def _next_order_state(self) -> Tensor:
+        """State of the generator from which the order of the next batch follows."""
+        between = self.iteration % self._batches == 0
+        return self.generator.get_state() if between else self._order_state.clone()
 
     def _one_step(self) -> None:
         """Loss, gradient and update, as kernels on the device and nothing else."""
@@ -165,17 +170,17 @@ class Trainer:
         self._room.pull_back(
             by_value * factor, by_slope * factor[:, None], self.network.views(self._gradient)
         )
-        self.adam.step(self._gradient.to(self.parameters.dtype))
+        self.optimiser.step(self._gradient.to(self.parameters.dtype))
         self._loss += loss
 
     def _snapshot(self) -> dict[str, Tensor]:
         """Copies of all that training changes and that lives on the device."""
         return {
             "parameters": self.parameters.clone(),
-            "mean": self.adam.mean.clone(),
-            "square": self.adam.square.clone(),
-            "order": self._order_state.clone(),
-            "counts": torch.tensor([self.iteration, self.adam.steps]),
+            "mean": self.optimiser.mean.clone(),
+            "square": self.optimiser.square.clone(),
+            "order": self._next_order_state(),
+            "counts": torch.tensor([self.iteration, self.optimiser.steps]),
         }
 
     def state(self) -> dict[str, Tensor]:
@@ -192,11 +197,11 @@ class Trainer:
         self.network.views(state["parameters"])
         for target, name in (
             (self.parameters, "parameters"),
-            (self.adam.mean, "mean"),
-            (self.adam.square, "square"),
+            (self.optimiser.mean, "mean"),
+            (self.optimiser.square, "square"),
         ):
             target.copy_(state[name])
-        self.iteration, self.adam.steps = (int(n) for n in state["counts"])
+        self.iteration, self.optimiser.steps = (int(n) for n in state["counts"])
         self.rate_scale = float(state.get("rate_scale", torch.tensor([self.rate_scale])))
         self.generator.set_state(state["order"].cpu())
         self._order = self._order[:0]

@@ -1,0 +1,130 @@
+"""Reconstructions that stop and go on: bit for bit, or not at all, in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from shapes import Sphere
+
+from udflow.cloud.point_cloud import PointCloud
+from udflow.config import Config, DensifyConfig, ExtractConfig
+from udflow.errors import BadCheckpoint
+from udflow.fields.storage import field_to_bytes
+from udflow.neural_config import NetworkConfig, TrainingConfig
+from udflow.progress import Progress
+from udflow.reconstruct import Reconstruction, reconstruct, reconstruct_steps
+
+CONFIG = Config(
+    field="mlp",
+    network=NetworkConfig(layers=3, width=24, skips=(2,), film=(0,)),
+    training=TrainingConfig(iterations=600, batch=300, queries=6_000, warmup=20),
+    densify=DensifyConfig(target_points=1_200, points_per_round=400),
+    extract=ExtractConfig(resolution=16),
+)
+CLOUD = PointCloud(Sphere().sample(600).double().numpy())
+
+
+def stopped_after(count: int, path: Path, config: Config = CONFIG) -> list[Progress]:
+    """The first steps of a reconstruction that then stops for good, saved at every step."""
+    steps = reconstruct_steps(CLOUD, config, checkpoint=path, checkpoint_s=0.0)
+    seen = [next(steps) for _ in range(count)]
+    steps.close()
+    return seen
+
+
+@pytest.fixture(scope="module")
+def whole() -> Reconstruction:
+    return reconstruct(CLOUD, CONFIG)
+
+
+# the first fit reports at 0, 100, 200 and 300 iterations, each of the two rounds at 0, 100 and 150
+@pytest.mark.parametrize("steps", [3, 4, 7, 10])
+def test_it_goes_on_bit_for_bit(steps: int, whole: Reconstruction, tmp_path: Path) -> None:
+    path = tmp_path / "half.safetensors"
+    seen = stopped_after(steps, path)
+    assert path.exists()
+    resumed: list[Progress] = []
+    result = reconstruct(CLOUD, CONFIG, checkpoint=path, on_progress=resumed.append)
+    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
+    assert np.array_equal(result.points.points, whole.points.points)
+    assert np.array_equal(result.mesh.vertices, whole.mesh.vertices)
+    assert result.report["densification"] == whole.report["densification"]
+    assert resumed[1].round == seen[-1].round
+    assert not path.exists()
+
+
+def test_an_empty_place_starts_anew(whole: Reconstruction, tmp_path: Path) -> None:
+    result = reconstruct(CLOUD, CONFIG, checkpoint=tmp_path / "none.safetensors")
+    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
+
+
+def test_solved_fields_need_no_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "spline.safetensors"
+    stopped_after(4, path, replace(CONFIG, field="spline"))
+    assert not path.exists()
+
+
+def test_another_configuration_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "half.safetensors"
+    stopped_after(3, path)
+    with pytest.raises(BadCheckpoint, match="another cloud or other parameters"):
+        reconstruct(CLOUD, replace(CONFIG, seed=1), checkpoint=path)
+
+
+def test_another_cloud_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "half.safetensors"
+    stopped_after(3, path)
+    with pytest.raises(BadCheckpoint, match="another cloud"):
+        reconstruct(PointCloud(CLOUD.points[:500]), CONFIG, checkpoint=path)
+
+
+def test_garbage_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "garbage"
+    path.write_bytes(b"no checkpoint")
+    with pytest.raises(BadCheckpoint, match="remove the file to start anew"):
+        reconstruct(CLOUD, CONFIG, checkpoint=path)
+
+
+def test_a_safetensors_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other"
+    save_file({"x": torch.zeros(3)}, path)
+    with pytest.raises(BadCheckpoint, match="no checkpoint of udflow"):
+        reconstruct(CLOUD, CONFIG, checkpoint=path)
+
+
+def test_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    from safetensors import safe_open
+
+    path = tmp_path / "half.safetensors"
+    stopped_after(3, path)
+    tensors = load_file(path)
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    tensors["mean"][0] = torch.nan
+    save_file(tensors, path, metadata)
+    with pytest.raises(BadCheckpoint, match="not finite"):
+        reconstruct(CLOUD, CONFIG, checkpoint=path)
+    del tensors["mean"]
+    save_file(tensors, path, metadata)
+    with pytest.raises(BadCheckpoint, match="not complete"):
+        reconstruct(CLOUD, CONFIG, checkpoint=path)
+
+
+def test_a_first_fit_that_is_enough_is_used_as_it_is() -> None:
+    said = iter([False, True, True, True, True, True, True])
+    steps = reconstruct_steps(CLOUD, CONFIG, enough=lambda: next(said))
+    seen: list[Progress] = []
+    while True:
+        try:
+            seen.append(next(steps))
+        except StopIteration as done:
+            result = done.value
+            break
+    assert result.report["partial"]
+    assert [p.step for p in seen if p.stage == "fitting"] == [0, 100, 200]
+    assert result.report["points"]["rounds"] == 0
