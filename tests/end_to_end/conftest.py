@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import httpx
 import pytest
@@ -15,14 +16,20 @@ from user_steps import Finished, sphere, submit, wait
 
 
 @pytest.fixture(scope="session")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of the running service."""
+    return tmp_path_factory.mktemp("up") / "data"
+
+
+@pytest.fixture(scope="session")
+def url(data: Path) -> Iterator[str]:
     """The address of a running service. Ctrl-C must end all of it."""
-    folder = tmp_path_factory.mktemp("up")
+    folder = data.parent
     port = free_port()
     environment = {
         **{name: value for name, value in os.environ.items() if name != "REDIS_URL"},
         "PORT": str(port),
-        "UDFLOW_DATA": str(folder / "data"),
+        "UDFLOW_DATA": str(data),
         "OMP_NUM_THREADS": "1",
     }
     with (folder / "log").open("wb") as log:

@@ -1,0 +1,188 @@
+/** Walks through the page in a real browser, on a real service: `node walks.mjs NAME SETTINGS`. */
+
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { checkAccess, choose, drop, LONG, open, SMALL, settings, sphere } from "./browser.mjs";
+
+const HOSTILE = `"><img src=x onerror="window.hacked=1">&amp;<b>\u202e.ply`;
+const PATIENCE = { timeout: 90_000 };
+
+const walks = {
+  /** Drop, preview, upload, rounds, result, heat map, slice, download. */
+  async whole() {
+    const { browser, page, mistakes, transfer } = await open();
+    const sent = [];
+    page.on("request", (request) => {
+      if (request.method() !== "GET") sent.push(request.url());
+    });
+    await page.getByRole("button", { name: /Vase/ }).waitFor();
+    await page.waitForTimeout(1500);
+    const first = transfer.page;
+    await checkAccess(page, "the start");
+
+    await drop(page, HOSTILE, sphere(800));
+    await page.getByText("nothing is sent yet").waitFor();
+    await page.getByText("1.99 × ").waitFor();
+    assert.equal(await page.getByRole("heading", { level: 1 }).textContent(), HOSTILE);
+    assert.deepEqual(sent, [], "a preview sends nothing");
+    await checkAccess(page, "the preview");
+
+    await choose(page, SMALL);
+    await page.getByRole("button", { name: "Reconstruct" }).click();
+    await page.getByText(/densified in round \d+ of 4/).waitFor(PATIENCE);
+    await checkAccess(page, "the running job");
+
+    await page.getByText("A mesh of").waitFor(PATIENCE);
+    await page.getByRole("button", { name: "Distances" }).waitFor(PATIENCE);
+    assert.ok(
+      sent.some((url) => url.includes("/v1/uploads")),
+      "uploads are resumable",
+    );
+    await page.getByRole("button", { name: "Distances" }).click();
+    await page.getByText("Half below").waitFor(PATIENCE);
+    const half = Number(await page.locator("dt:has-text('Half below') + dd").textContent());
+    assert.ok(half > 0 && half < 0.02, `half of the points within ${half}`);
+    await checkAccess(page, "the heat map");
+
+    await page.keyboard.press("s");
+    await page.getByText(/lines every/).waitFor(PATIENCE);
+    await page.waitForTimeout(1500);
+    const stage = await page.locator("canvas").first().boundingBox();
+    await page.mouse.move(stage.x + stage.width / 2, stage.y + stage.height / 2);
+    const value = Number(await page.locator(".readout").textContent());
+    assert.ok(value > 0.8 && value < 1.01, `${value} from the middle of a sphere to its surface`);
+    await checkAccess(page, "the slice");
+
+    const [download] = await Promise.all([
+      page.waitForEvent("download"),
+      page.getByRole("link", { name: "GLB" }).click(),
+    ]);
+    await download.saveAs(join(settings.out, "mesh.glb"));
+    await page.keyboard.press("?");
+    await page.getByText("slice through the distance field").waitFor();
+    await checkAccess(page, "the help");
+    await page.keyboard.press("Escape");
+    assert.equal(await page.evaluate(() => window.hacked), undefined);
+    assert.deepEqual(mistakes, []);
+    await browser.close();
+    return { before_data: first, with_all_parts: transfer.page, half };
+  },
+
+  /** The page is loaded again in the middle of a job, and in a second tab. */
+  async reload() {
+    const { browser, page, mistakes } = await open();
+    await begin(page, LONG);
+    await page.getByText(/densified in round [2-9]/).waitFor(PATIENCE);
+    await page.reload();
+    await page.getByText(/densified in round/).waitFor(PATIENCE);
+    const second = await page.context().newPage();
+    await second.goto(page.url());
+    await second.getByText(/densified in round/).waitFor(PATIENCE);
+    const [here, there] = [await round(page), await round(second)];
+    assert.ok(Math.abs(here - there) <= 2, `round ${here} here, ${there} in the other tab`);
+    await stop(page, "Stop, keep what we have");
+    for (const tab of [page, second]) {
+      await tab.getByText("Stopped early, what was fitted is kept").waitFor(PATIENCE);
+      await tab.getByRole("button", { name: "Slice" }).waitFor(PATIENCE);
+    }
+    assert.deepEqual(mistakes, []);
+    await browser.close();
+    return { round: here };
+  },
+
+  /** The API goes away in the middle of a job and comes back. */
+  async restart() {
+    const { browser, page, mistakes } = await open();
+    await begin(page, LONG);
+    await page.getByText(/densified in round [2-9]/).waitFor(PATIENCE);
+    const before = await round(page);
+    process.kill(settings.api, "SIGKILL");
+    await page.getByText("Reconnecting").waitFor(PATIENCE);
+    await page.getByText("Reconnecting").waitFor({ state: "detached", ...PATIENCE });
+    await page.waitForFunction(
+      (seen) => Number(/round (\d+) of/.exec(document.body.textContent)?.[1]) > seen,
+      before,
+      PATIENCE,
+    );
+    await stop(page, "Stop and discard");
+    await page.getByText("The job was stopped").waitFor(PATIENCE);
+    await checkAccess(page, "a stopped job");
+    assert.deepEqual(mistakes, []);
+    await browser.close();
+    return { round: before };
+  },
+
+  /** What goes wrong is said in words, with a next step. */
+  async trouble() {
+    const { browser, page, mistakes } = await open({ colorScheme: "dark" });
+    await drop(page, "words.txt", "this is no scan\nat all\n");
+    await page.getByText("There is no point in this file.").waitFor(PATIENCE);
+    await page.getByRole("button", { name: "Reconstruct" }).click();
+    await page.getByText("This did not work").or(page.getByText("No preview")).waitFor(PATIENCE);
+    await page
+      .locator(".trouble p")
+      .getByText(/format|point/)
+      .waitFor(PATIENCE);
+    await checkAccess(page, "a refused scan");
+    await page.goto(`${settings.url}/#/jobs/job_${"0".repeat(38)}`);
+    await page.getByText("There is no such job").waitFor(PATIENCE);
+    await page.getByRole("button", { name: "Another scan" }).click();
+    await page.getByRole("heading", { name: "From points to a surface." }).waitFor();
+    assert.deepEqual(mistakes, []);
+    await browser.close();
+    return {};
+  },
+
+  /** Many frames: how long one takes to be drawn, and whether memory stays. */
+  async frames() {
+    const { browser, page, mistakes } = await open({
+      path: `/#/jobs/${settings.job}`,
+      viewport: { width: 900, height: 560 }, // software GL: fewer pixels, not fewer frames
+    });
+    await page.evaluate(() => {
+      window.times = [];
+      new PerformanceObserver((list) => {
+        for (const entry of list.getEntries()) {
+          if (entry.name === "udflow:frame-to-draw") window.times.push(entry.duration);
+        }
+      }).observe({ type: "measure", buffered: true });
+    });
+    const session = await page.context().newCDPSession(page);
+    const drawn = (count) =>
+      page.waitForFunction((wanted) => window.times.length >= wanted, count, { timeout: 200_000 });
+    const heap = async () => {
+      await session.send("HeapProfiler.collectGarbage");
+      const { usedSize, backingStorageSize = 0 } = await session.send("Runtime.getHeapUsage");
+      return usedSize + backingStorageSize;
+    };
+    await drawn(settings.frames / 5);
+    const early = await heap();
+    await drawn(settings.frames);
+    const late = await heap();
+    const times = (await page.evaluate(() => window.times)).sort((a, b) => a - b);
+    assert.deepEqual(mistakes, []);
+    await browser.close();
+    const at = (share) => times[Math.floor(share * (times.length - 1))];
+    return { early, late, drawn: times.length, median_ms: at(0.5), p95_ms: at(0.95) };
+  },
+};
+
+async function begin(page, size) {
+  await drop(page, "ball.ply", sphere(700));
+  await page.getByText("nothing is sent yet").waitFor();
+  await choose(page, size);
+  await page.getByRole("button", { name: "Reconstruct" }).click();
+}
+
+async function round(page) {
+  return Number(/round (\d+) of/.exec(await page.locator(".counter").textContent())[1]);
+}
+
+async function stop(page, how) {
+  await page.getByRole("button", { name: "Stop…" }).click();
+  await page.getByRole("button", { name: how }).click();
+}
+
+const walk = walks[process.argv[2]];
+const found = await walk();
+process.stdout.write(`${JSON.stringify(found)}\n`);
