@@ -54,17 +54,17 @@ async def store_scan(upload: Upload, form: Form, services: Services) -> tuple[di
     digest = await run_in_threadpool(upload.close)
     owner = current().owner
     known = await run_in_threadpool(services.store.find_scan, digest, owner)
-    created = False
-    if known is None:
-        summary = await services.inspector.inspect(upload.path)
-        name = clean_filename(form.filename or "")
-        manifest = {**summary, "filename": name, "caller": owner}
-        added = await run_in_threadpool(services.store.add_scan, upload, manifest)
-        known, created = added.id, added.created
-    stored = await run_in_threadpool(services.store.read_scan, known)
+    stored = await run_in_threadpool(services.store.read_scan, known) if known else None
+    if stored is not None:
+        return stored, False
+    summary = await services.inspector.inspect(upload.path)
+    name = clean_filename(form.filename or "")
+    manifest = {**summary, "filename": name, "caller": owner}
+    added = await run_in_threadpool(services.store.add_scan, upload, manifest)
+    stored = await run_in_threadpool(services.store.read_scan, added.id)
     if stored is None:
-        raise Problem("busy", "The same scan was just deleted; send it again.")
-    return stored, created
+        raise Problem("gone", "The scan was deleted as soon as it was there; send it again.")
+    return stored, added.created
 
 
 async def _receive_form(request: Request, services: Services, upload: Upload) -> Form:

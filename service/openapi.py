@@ -138,12 +138,38 @@ def document(app: FastAPI) -> dict[str, Any]:
         _, definitions = models_json_schema(named, ref_template="#/components/schemas/{model}")
         schema["components"]["schemas"] |= definitions["$defs"]
         _forget_other_errors(schema)
+        _link(schema)
         schema["components"]["securitySchemes"] = {
             "key": {"type": "http", "scheme": "bearer", "description": "where a key is configured"}
         }
         schema["security"] = [{}, {"key": []}]
         app.openapi_schema = schema
     return app.openapi_schema
+
+
+_OF_A_SCAN = {"getScan": "scan_id", "deleteScan": "scan_id"}
+_OF_A_JOB = dict.fromkeys(
+    (
+        *("getJob", "cancelJob", "retryJob", "extractAgain", "deleteJob", "listJobEvents"),
+        *("listDeliveries", "getMesh", "getPoints", "getField", "getReport"),
+        *("queryDistances", "querySlice", "getSlice"),
+    ),
+    "job_id",
+)
+_LINKS = {
+    ("/v1/scans", "201"): _OF_A_SCAN,
+    ("/v1/jobs", "202"): _OF_A_JOB,
+    ("/v1/jobs/{job_id}/retry", "202"): _OF_A_JOB,
+}
+
+
+def _link(schema: dict[str, Any]) -> None:
+    """What can be done with the id of an answer, as links of OpenAPI."""
+    for (path, status), targets in _LINKS.items():
+        schema["paths"][path]["post"]["responses"][status]["links"] = {
+            name: {"operationId": name, "parameters": {parameter: "$response.body#/id"}}
+            for name, parameter in targets.items()
+        }
 
 
 def _forget_other_errors(schema: dict[str, Any]) -> None:

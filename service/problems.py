@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -15,6 +15,7 @@ from redis.exceptions import ConnectionError as RedisConnectionError
 from redis.exceptions import TimeoutError as RedisTimeoutError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import BaseRoute, Match
 
 log = logging.getLogger("service")
 
@@ -57,7 +58,6 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "rate_limited": (429, "Too many requests"),
     "internal_error": (500, "The service made a mistake"),
     "artifact_damaged": (500, "A stored file is damaged"),
-    "busy": (503, "The service is busy"),
     "not_ready": (503, "The service is not ready"),
     "queue_unavailable": (503, "The job queue does not answer"),
     "storage_full": (507, "The disk of the service is full"),
@@ -178,8 +178,25 @@ async def _on_http_exception(request: Request, error: Exception) -> JSONResponse
         "method_not_allowed": f"{request.method} is not possible here.",
     }
     headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = ", ".join(_methods_at(request))
     problem = Problem(code, details.get(code, str(error.detail)), headers=headers)
     return problem.response(request.scope)
+
+
+def _methods_at(request: Request) -> list[str]:
+    """What the address takes; the framework names only the methods of the first route there."""
+    found: set[str] = set()
+    for route in _routes(request.app.routes):
+        if route.matches(request.scope)[0] is not Match.NONE:
+            found |= getattr(route, "methods", None) or set()
+    return sorted(found)
+
+
+def _routes(routes: Sequence[BaseRoute]) -> Iterator[BaseRoute]:
+    for route in routes:
+        included = getattr(route, "original_router", None)
+        yield from [route] if included is None else _routes(included.routes)
 
 
 async def _on_validation_error(request: Request, error: Exception) -> JSONResponse:
@@ -206,8 +223,11 @@ async def _on_os_error(request: Request, error: Exception) -> JSONResponse:
     return problem.response(request.scope)
 
 
-async def _on_bug(request: Request, _: Exception) -> JSONResponse:
-    # The server logs the traceback; the client gets the id to find it by.
+async def _on_bug(request: Request, error: Exception) -> JSONResponse:
+    # The client gets the id to find the traceback by.
+    about = request.scope.get("state", {}).get("request_id")
+    fields = {"fields": {"request_id": about}}
+    log.error("unexpected error in request %s", about, exc_info=error, extra=fields)
     problem = Problem(
         "internal_error", "An unexpected error was logged under this request_id; please report it."
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic.json_schema import WithJsonSchema
 
-from service.schemas import MetadataKey, MetadataValue, OutputName, Strict
+from service.schemas import THREE_NUMBERS, MetadataKey, MetadataValue, OutputName, Strict
 from udflow.config import MAX_RESOLUTION
 
-Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Point = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], WithJsonSchema(THREE_NUMBERS)]
 MAX_SLICE = 2048
 
 

@@ -13,7 +13,9 @@ from udflow.config import PRESET_NAMES, Config
 
 MetadataKey = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 MetadataValue = Annotated[str, StringConstraints(max_length=512)]
-Vector = tuple[float, float, float]
+# plainer than the prefixItems of a tuple, which generators of clients know badly
+THREE_NUMBERS = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+Vector = Annotated[tuple[float, float, float], WithJsonSchema(THREE_NUMBERS)]
 OutputName = Literal[
     "mesh.ply",
     "mesh.glb",

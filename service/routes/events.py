@@ -28,6 +28,7 @@ from service.services import Needs, Services
 ENDED, UNKNOWN, BAD_REQUEST, TRY_AGAIN = 1000, 4404, 4400, 1013
 SEND_TIMEOUT_S = 20.0
 SSE_HEADERS = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+EVENT_ID = r"^[0-9]{1,19}(-[0-9]{1,19})?$"
 router = APIRouter(prefix="/v1/jobs", tags=["events"])
 
 
@@ -105,9 +106,11 @@ async def list_events(
     job_id: str,
     request: Request,
     services: Needs,
-    after: Annotated[str | None, Query(description="id of the last event seen")] = None,
+    after: Annotated[
+        str | None, Query(description="id of the last event seen", pattern=EVENT_ID)
+    ] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 500,
-    last_event_id: Annotated[str | None, Header()] = None,
+    last_event_id: Annotated[str | None, Header(pattern=EVENT_ID)] = None,
 ) -> Response:
     """A page of events, or with `Accept: text/event-stream` a stream that lasts until the end.
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse, Response
+from pydantic import AwareDatetime, BeforeValidator
 from starlette.concurrency import run_in_threadpool
 
 from jobs.costs import Estimate
@@ -22,13 +22,24 @@ from service.ingest import is_form, received, store_scan
 from service.job_request import complete_config, form_values
 from service.job_view import job_view
 from service.openapi import job_request_body, problems
-from service.problems import Problem, invalid
+from service.problems import Problem
 from service.routes.scans import find_scan
 from service.schemas import Job, JobCreate, JobEstimate, JobPage
 from service.services import Needs, Services
 from service.submitting import POLL_AFTER, IdempotencyKey, accepted, callable_webhook, kept_for
 
 MAX_WAIT_S = 60.0
+
+
+def _no_number(value: Any) -> Any:
+    """Unix seconds would be read as a time otherwise."""
+    if isinstance(value, str) and not value.partition("T")[2]:
+        raise ValueError("give a time with its zone, such as 2026-11-22T17:00:00Z")
+    return value
+
+
+Moment = Annotated[AwareDatetime, BeforeValidator(_no_number)]
+ID_PATTERN = "^job_[0-9a-hjkmnp-tv-z]{36}$"
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
@@ -113,14 +124,14 @@ def _scan_of(scan_id: str, services: Services) -> dict[str, Any]:
 def list_jobs(
     services: Needs,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    cursor: Annotated[str | None, Query(description="`next_cursor` of the page before")] = None,
+    cursor: Annotated[
+        str | None, Query(description="`next_cursor` of the page before", pattern=ID_PATTERN)
+    ] = None,
     state: JobState | None = None,
     scan_id: str | None = None,
-    created_after: datetime | None = None,
+    created_after: Moment | None = None,
 ) -> JobPage:
     """One page of jobs; ask for the next with `cursor`."""
-    if cursor is not None and not is_id("job", cursor):
-        raise invalid("?cursor", "invalid_value", "use next_cursor of an earlier page")
     after = None if created_after is None else created_after.timestamp()
     page = services.records.page(
         limit,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from service.bodies import read_model, validated
 from service.openapi import Answers, model_body, problems
 from service.problems import Problem
-from service.requests import Slice
+from service.requests import MAX_SLICE, Slice
 from service.results import result_file
 from service.routes.jobs import find_job
 from service.routes.udf import load_stored
@@ -66,10 +66,10 @@ async def query_slice(job_id: str, request: Request, services: Needs) -> Respons
 async def get_slice(
     job_id: str,
     services: Needs,
-    axis: str | None = None,
-    at: float | None = None,
-    resolution: int = 256,
-    format: str = "png",
+    axis: Literal["x", "y", "z"] | None = None,
+    at: Annotated[float | None, Query(allow_inf_nan=False)] = None,
+    resolution: Annotated[int, Query(ge=2, le=MAX_SLICE)] = 256,
+    format: Literal["npy", "png"] = "png",
     isolines: Annotated[bool, Query(description="lines of equal distance in the picture")] = True,
 ) -> Response:
     """As the POST, for planes across an axis: an address that an `<img>` can show."""

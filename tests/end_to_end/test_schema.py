@@ -1,0 +1,26 @@
+"""schemathesis against the running service: no generated request, right or wrong, breaks it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+
+def test_generated_requests_find_no_mistake(url: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "schemathesis.cli"]
+    command += ["--config-file", str(HERE / "schemathesis.toml"), "run", f"{url}/openapi.json"]
+    # All checks but one, which wants every body that fits the schema to be taken: bytes that are
+    # no point cloud, and ids of nothing, fit it too.
+    command += ["--checks", "all", "--exclude-checks", "positive_data_acceptance"]
+    command += ["--phases", "examples,coverage,fuzzing,stateful"]
+    command += ["--max-examples", "8", "--seed", "1", "--max-failures", "20"]
+    environment = os.environ | {"SCHEMATHESIS_HOOKS": str(HERE / "schemathesis_hooks.py")}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{done.stdout[-12_000:]}{done.stderr[-2_000:]}"
+    assert "Stateful" in done.stdout
