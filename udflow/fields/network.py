@@ -17,6 +17,7 @@ from udflow.errors import BadField
 from udflow.neural_config import NetworkConfig
 
 _SMALL = 0.1  # of the output's weights at the start "he"
+_ALIVE = 0.05  # the output at the start of a rectified d: below zero nothing would ever move it
 SPHERE_RADIUS = 0.25  # start "sphere": d starts as the distance from a sphere of this radius
 Weights = dict[str, Tensor]
 
@@ -132,6 +133,8 @@ def started(network: Network, generator: torch.Generator) -> Tensor:
         _start_sphere(network, weights)
     else:
         _start_he(network, weights)
+    if network.config.output == "relu":
+        weights["output.bias"].fill_(_ALIVE)
     if network.timed:
         _start_time(network, weights, generator)
     return flat
