@@ -102,7 +102,7 @@ class TrainingConfig(Strict):
     precision: of matrix products. "tf32" and "bfloat16" are for CUDA; sums stay in float32.
     """
 
-    iterations: int = 6_000
+    iterations: int = 7_000
     batch: int = 2_000
     optimiser: Optimiser = "muon"
     learning_rate: float = 2e-3

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -10,7 +11,8 @@ from shapes import Hemisphere, MoebiusStrip, PlanePatch, Shape, Sphere, Torus
 from torch import Tensor
 
 from udflow.config import DensifyConfig
-from udflow.densify import reflow, rounds_needed
+from udflow.densify import densified, reflow, rounds_needed
+from udflow.errors import InvalidConfig
 from udflow.fields.interface import ProjectiveField
 
 CONFIG = DensifyConfig(target_points=2000, points_per_round=600)
@@ -137,3 +139,82 @@ def test_most_points_are_added_where_samples_are_sparse() -> None:
 
     assert share(cloud) < 0.15
     assert share(points[len(cloud) :]) > 0.3
+
+
+class OnlyDistances:
+    """A field of somebody else: distances and gradients, no way of its own to the surface."""
+
+    def __init__(self, shape: Shape, length: float = 1.0) -> None:
+        self.shape, self.length = shape, length
+
+    def distance(self, points: Tensor) -> Tensor:
+        return self.shape.distance(points)
+
+    def gradient(self, points: Tensor) -> Tensor:
+        return self.length * (points - self.shape.closest(points))
+
+
+@pytest.mark.parametrize("length", [1.0, 7.0])
+def test_any_object_with_distance_and_gradient_will_do(length: float) -> None:
+    cloud = Torus().sample(500)
+    points = grown(cloud, OnlyDistances(Torus(), length), rounds=3)
+    assert len(points) == 2000
+    assert float(Torus().distance(points).max()) < 1e-5
+
+
+def test_an_object_that_is_no_field_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"needs project\(points\), or distance\(points\) and"):
+        grown(Sphere().sample(500), object())  # type: ignore[arg-type]
+
+
+def test_every_round_is_there_with_its_counters() -> None:
+    cloud = Sphere().sample(500)
+    config = DensifyConfig(target_points=1500, points_per_round=400)
+    fitted_to: list[int] = []
+
+    def fit(samples: Tensor) -> ProjectiveField:
+        fitted_to.append(len(samples))
+        return Sphere()
+
+    rounds = list(densified(cloud, fit, config, torch.Generator().manual_seed(0)))
+    assert [r.number for r in rounds] == [0, 1, 2, 3]
+    assert [len(r.samples) for r in rounds] == [500, 900, 1300, 1500]
+    assert fitted_to == [500, 900, 1300]
+    for before, after in pairwise(rounds):
+        assert torch.equal(after.samples[: len(before.samples)], before.samples)
+        assert after.added == len(after.samples) - len(before.samples)
+        assert after.candidates >= after.near >= after.supported >= after.added
+    assert rounds[1].counts()["points"] == 900
+
+
+def test_without_a_guard_epsilon_alone_decides() -> None:
+    cloud = Hemisphere().sample(500)
+    config = DensifyConfig(target_points=4000, points_per_round=500, guard="none")
+    points = grown(cloud, Sphere(), config, rounds=6)
+    guarded = grown(cloud, Sphere(), replace(config, guard="support"), rounds=6)
+    assert float(points[:, 2].min()) < 2 * float(guarded[:, 2].min())
+
+
+class Uncertain:
+    """A field whose feet are right in the upper half only; below it never arrives."""
+
+    def project(self, points: Tensor) -> Tensor:
+        sliding = points + torch.tensor([0.03, 0.0, 0.0])
+        return torch.where(points[:, 2:] > 0, Sphere().closest(points), sliding)
+
+
+def test_epsilon_keeps_out_what_the_field_itself_doubts() -> None:
+    cloud = Sphere().sample(500)
+    config = DensifyConfig(target_points=900, points_per_round=400, guard="none")
+    strict = grown(cloud, Uncertain(), config)[500:]
+    off = grown(cloud, Uncertain(), replace(config, threshold=None))[500:]
+    assert float(Sphere().distance(strict).max()) < 1e-5
+    assert float(Sphere().distance(off).max()) > 0.01
+
+
+def test_a_target_below_the_cloud_is_refused() -> None:
+    cloud = Sphere().sample(500)
+    config = DensifyConfig(target_points=400)
+    rounds = densified(cloud, lambda samples: Sphere(), config, torch.Generator())
+    with pytest.raises(InvalidConfig, match=r"400, fewer than the 500 points .* raise it"):
+        next(rounds)

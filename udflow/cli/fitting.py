@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from udflow.cli.exits import UsageError
@@ -63,8 +64,28 @@ def fitted(options: argparse.Namespace, config: Config) -> Reconstruction:
     with opened_input(options.scan) as path:
         cloud = read_cloud(path)
         require_reconstructable(cloud)
+        _check_target(len(cloud.points), options, config)
+    checkpoint = getattr(options, "checkpoint", None)
     with shown_progress(options.quiet) as listener:
-        return reconstruct(cloud, config, device=device, on_progress=listener)
+        return reconstruct(
+            cloud,
+            config,
+            device=device,
+            on_progress=listener,
+            checkpoint=None if checkpoint is None else Path(checkpoint),
+        )
+
+
+def _check_target(points: int, options: argparse.Namespace, config: Config) -> None:
+    """A target that was asked for by --target must not be passed already.
+
+    Raises:
+        InvalidConfig: the scan has more points.
+    """
+    if getattr(options, "target", None) is not None:
+        from udflow.densify import require_target
+
+        require_target(points, config.densify)
 
 
 def say(options: argparse.Namespace, lines: list[str]) -> None:

@@ -165,6 +165,11 @@ def _server(command: argparse.ArgumentParser) -> None:
 def _run_options(command: argparse.ArgumentParser) -> None:
     _parameters(command)
     command.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1, auto")
+    command.add_argument(
+        "--checkpoint",
+        metavar="FILE",
+        help="save trained fields there while they are fitted, and go on from it if it exists",
+    )
     command.add_argument("--quiet", action="store_true", help="no progress, no summary")
     _force(command)
     _json(command)

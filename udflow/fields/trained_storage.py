@@ -38,7 +38,9 @@ def trained_field(header: dict[str, Any], parameters: Tensor) -> MLPField | CapU
     Raises:
         BadField: an impossible network, or parameters that are not its own or not finite.
     """
-    described: dict[str, Any] = header["network"]
+    described = header["network"]
+    if not isinstance(described, dict):
+        raise BadField("the field describes an impossible network: it has no parts")
     values: dict[str, Any] = {}
     for key, value in described.items():
         values[key] = tuple(value) if isinstance(value, list) else value
