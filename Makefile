@@ -10,7 +10,7 @@ default: check test
 # Installed once per state of the project's own requirement files.
 $(VENV)/.installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[service,dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[client,service,s3,dev]"
 	touch $@
 
 setup: $(VENV)/.installed

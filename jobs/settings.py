@@ -21,6 +21,8 @@ class Settings:
 
     data: folder for scans, results, logs, secret and the embedded Redis.
     redis_url: None while no Redis is known; `make up` starts one and sets it.
+    store_url: where scans and results are, file:///folder or s3://bucket/prefix; None means the
+        data folder, which may then not be shared by other means than a common file system.
     secret: signs queued tasks; None means the key file in the data folder.
     lease_s: a worker that has not renewed for so long has lost its job.
     cancel_grace_s: a canceled job that has not stopped by itself is killed after this;
@@ -36,6 +38,7 @@ class Settings:
 
     data: Path = Path(".udflow")
     redis_url: str | None = None
+    store_url: str | None = None
     secret: str | None = None
     lease_s: float = 20.0
     cancel_grace_s: float = 8.0
@@ -75,6 +78,7 @@ class Settings:
         return cls(
             data=Path(environ.get("UDFLOW_DATA") or ".udflow"),
             redis_url=environ.get("REDIS_URL") or None,
+            store_url=environ.get("STORE_URL") or None,
             secret=environ.get("UDFLOW_SECRET") or None,
             webhook_secret=environ.get("UDFLOW_WEBHOOK_SECRET") or None,
             webhook_hosts=_names(environ.get("UDFLOW_WEBHOOK_HOSTS", "")),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
+import sys
 from pathlib import Path
 
 from jobs.errors import InvalidMac
@@ -13,9 +14,14 @@ from jobs.settings import Settings
 
 
 def load_secret(settings: Settings) -> bytes:
-    """The signing key: UDFLOW_SECRET, else a key file in the data folder, made on first use."""
+    """The signing key: UDFLOW_SECRET, else one beside the scans and results (in the bucket, or as
+    a file in the data folder), made on first use."""
     if settings.secret is not None:
         return settings.secret.encode()
+    if (settings.store_url or "").startswith("s3://"):
+        from jobs.object_store import shared_secret
+
+        return shared_secret(settings.store_url or "", secrets.token_hex(32))
     path: Path = settings.data / "secret.key"
     settings.data.mkdir(parents=True, exist_ok=True)
     if not path.exists():
@@ -36,3 +42,7 @@ def verify(secret: bytes, job_id: str, attempt: int, mac: str) -> None:
             f"the queued task for {job_id}, attempt {attempt}, was not signed with this worker's "
             "secret; give service and worker the same UDFLOW_SECRET or the same data folder"
         )
+
+
+if __name__ == "__main__":  # for processes that must not touch the store themselves
+    sys.stdout.buffer.write(load_secret(Settings.from_env()))

@@ -229,6 +229,10 @@ class FileStore:
             raise ValueError(f"artifact path {artifact.path!r} leads out of the store")
         return path
 
+    def link_to(self, artifact: Artifact) -> str | None:
+        """An address outside of the service to download it from, None if there is none."""
+        return None
+
     def delete_attempt(self, job_id: str, attempt: int) -> None:
         """Remove what one attempt has written."""
         folder = self._job_folder(job_id)

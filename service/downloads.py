@@ -31,6 +31,17 @@ def file_response(
     return FileResponse(path, headers=headers, media_type=media_type, filename=filename)
 
 
+def redirected(request: Request, link: str, *, sha256: str, size: int) -> Response:
+    """Sends the caller to where the file is; HEAD and If-None-Match are answered here."""
+    etag = f'"{sha256}"'
+    headers = {"ETag": etag, "Cache-Control": "private, no-cache"}
+    if matches(request.headers.get("if-none-match"), etag):
+        return Response(status_code=304, headers=headers)
+    if request.method == "HEAD":
+        return Response(headers=headers | {"Content-Length": str(size)})
+    return Response(status_code=307, headers=headers | {"Location": link})
+
+
 def matches(if_none_match: str | None, etag: str) -> bool:
     """Whether an If-None-Match header names this ETag (weak comparison)."""
     if if_none_match is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -60,6 +61,7 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "artifact_damaged": (500, "A stored file is damaged"),
     "not_ready": (503, "The service is not ready"),
     "queue_unavailable": (503, "The job queue does not answer"),
+    "store_unavailable": (503, "The store of scans and results does not answer"),
     "storage_full": (507, "The disk of the service is full"),
 }
 
@@ -134,6 +136,10 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _on_validation_error)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(OSError, _on_os_error)
+    with suppress(ModuleNotFoundError):  # only where scans lie in a bucket
+        from obstore.exceptions import BaseError
+
+        app.add_exception_handler(BaseError, _on_store_error)
     for error in (RedisConnectionError, RedisTimeoutError, BusyLoadingError):
         app.add_exception_handler(error, _on_redis_error)
     app.add_exception_handler(Exception, _on_bug)
@@ -213,6 +219,16 @@ async def _on_disconnect(request: Request, _: Exception) -> JSONResponse:
 async def _on_redis_error(request: Request, error: Exception) -> JSONResponse:
     log.error("redis does not answer: %s", error)
     return queue_unavailable().response(request.scope)
+
+
+async def _on_store_error(request: Request, error: Exception) -> JSONResponse:
+    log.error("the store does not answer: %s", error)
+    problem = Problem(
+        "store_unavailable",
+        "The store of scans and results does not answer. Try again in a few seconds.",
+        headers={"Retry-After": "5"},
+    )
+    return problem.response(request.scope)
 
 
 async def _on_os_error(request: Request, error: Exception) -> JSONResponse:

@@ -14,6 +14,7 @@ from starlette.requests import HTTPConnection
 
 from jobs.dispatch import Dispatcher
 from jobs.events import AsyncEvents
+from jobs.open_store import open_store
 from jobs.previews import AsyncPreviews
 from jobs.records import JobRecords
 from jobs.settings import Settings
@@ -62,7 +63,7 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
     events = AsyncEvents(streams)
     hub = EventHub(events)
     records = JobRecords(connection, shared.lease_s)
-    store = FileStore(shared.data)
+    store = open_store(shared)
     services = Services(
         settings=settings,
         redis=connection,

@@ -99,7 +99,10 @@ class Client:
         secret = key or os.environ.get("UDFLOW_KEY")
         headers = {"Authorization": f"Bearer {secret}"} if secret else {}
         address = url or os.environ.get("UDFLOW_URL") or URL
-        self._http = httpx.Client(base_url=address, headers=headers, timeout=timeout_s)
+        # results may lie in a bucket; the key is not sent there
+        self._http = httpx.Client(
+            base_url=address, headers=headers, timeout=timeout_s, follow_redirects=True
+        )
 
     def __enter__(self) -> Client:
         return self

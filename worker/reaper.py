@@ -16,6 +16,7 @@ import redis
 
 from jobs.dispatch import Dispatcher
 from jobs.logs import configure
+from jobs.open_store import open_store
 from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.signing import load_secret
@@ -148,7 +149,7 @@ def main() -> int:
             settings,
             JobRecords(settings.connect(), settings.lease_s),
             Dispatcher(settings.connect_raw(), load_secret(settings), settings.job_timeout_s),
-            FileStore(settings.data),
+            open_store(settings),
         )
     except UdflowError as error:
         log.error("%s", error)

@@ -11,6 +11,7 @@ from typing import Literal, TypeVar
 import redis
 
 from jobs.costs import Costs
+from jobs.open_store import open_store
 from jobs.previews import Previews
 from jobs.records import JobRecords
 from jobs.settings import Settings
@@ -60,7 +61,7 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
             log.info("%s attempt %d is not waiting any more", job_id, attempt)
             return
         log.info("%s attempt %d begins on %s", job_id, attempt, device)
-        store = FileStore(settings.data)
+        store = open_store(settings)
         try:
             with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
                 previewer = Previewer(records, Previews(connection), job)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from service.downloads import file_response
+from service.downloads import file_response, redirected
 from service.openapi import Answers, problems
 from service.results import result_file
 from service.routes.jobs import find_job
@@ -109,7 +109,12 @@ def get_preview(job_id: str, request: Request, services: Needs) -> Response:
 
 
 def _download(job_id: str, name: str, request: Request, services: Services) -> Response:
-    found = result_file(find_job(job_id, services), name, services.store)
+    record = find_job(job_id, services)
+    artifact = record.outputs.get(name)
+    link = services.store.link_to(artifact) if artifact is not None else None
+    if artifact is not None and link is not None:
+        return redirected(request, link, sha256=artifact.sha256, size=artifact.bytes)
+    found = result_file(record, name, services.store)
     media_type = MEDIA_TYPES[name.rpartition(".")[2]]
     return file_response(
         request, found.path, sha256=found.sha256, media_type=media_type, filename=found.filename
