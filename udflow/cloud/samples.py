@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,26 +138,36 @@ def _glaze(height: Array, angle: Array) -> Array:
     return (clay * (1 - glazed) + celadon * glazed) * (1 - dark) + rim * dark
 
 
+_SHOULDER = np.array([0.1, 0.6])  # x and z where the axis of a sleeve begins, inside the torso
+_ARM = np.array([0.37, -0.29])  # and where it leads from there
+_ACROSS = np.array([0.45, 0.9])  # the second direction of a cuff; the first is y
+
+
 def _shirt() -> list[Patch]:
     """A shirt as it hangs: one sheet of cloth, open at hem, neck and cuffs."""
-    shoulder, neck = 0.66, 0.7
-    z, angle = _grid(np.linspace(0.0, neck, 201), _turn())
-    narrow = np.clip((z - shoulder + 0.12) / 0.16, 0.0, 1.0) ** 2
-    width = (0.235 + 0.02 * np.cos(4.2 * z)) * (1.0 - narrow) + 0.085 * narrow
-    depth = 0.115 * (1.0 - narrow) + 0.075 * narrow
-    folds = 1.0 + 0.05 * np.sin(9 * angle + 4.0 * z) * np.clip(1.0 - z / 0.62, 0.0, 1.0)
+    z, angle = _grid(np.linspace(0.0, 0.7, 201), _turn())
+    width, depth = _torso(z)
+    folds = 1.0 + 0.05 * np.sin(9 * angle + 4.0 * z) * np.clip(1.0 - z / 0.5, 0.0, 1.0)
     torso = np.stack([width * folds * np.cos(angle), depth * folds * np.sin(angle), z], axis=-1)
-    patches = []
-    for side in (-1.0, 1.0):
-        along, around = _grid(np.linspace(0.0, 1.0, 101), _turn(181))
-        wrinkle = 1.0 + 0.06 * np.sin(24 * along + 2 * around) * along
-        radius = (0.078 - 0.02 * along) * wrinkle
-        x = 0.19 + 0.28 * along + 0.45 * radius * np.cos(around)
-        up = 0.56 - 0.25 * along + 0.9 * radius * np.cos(around)
-        sleeve = np.stack([side * x, radius * np.sin(around), up], axis=-1)
-        patches.append(_without(sleeve, _inside_torso))
-        torso = _without(torso, partial(_inside_sleeve, side=side))
-    return [Patch(torso), *(Patch(sleeve) for sleeve in patches)]
+    along, around = _grid(np.linspace(0.0, 1.0, 141), _turn(181))
+    radius = _sleeve_radius(along) * (1.0 + 0.05 * np.sin(24 * along + 2 * around) * along**2)
+    x, up = (
+        _SHOULDER[i] + _ARM[i] * along + _ACROSS[i] * radius * np.cos(around) for i in range(2)
+    )
+    right = _without(np.stack([x, radius * np.sin(around), up], axis=-1), _inside_torso)
+    left = right * [-1.0, 1.0, 1.0]
+    return [Patch(_without(torso, _inside_sleeve)), Patch(right), Patch(left)]
+
+
+def _torso(height: Array) -> tuple[Array, Array]:
+    """Half width and half depth at a height."""
+    narrow = np.clip((height - 0.54) / 0.16, 0.0, 1.0) ** 2
+    width = (0.235 + 0.02 * np.cos(4.2 * height)) * (1.0 - narrow) + 0.085 * narrow
+    return width, 0.115 * (1.0 - narrow) + 0.075 * narrow
+
+
+def _sleeve_radius(along: Array) -> Array:
+    return 0.078 - 0.02 * along
 
 
 def _without(grid: Array, hidden: Callable[[Array], NDArray[np.bool_]]) -> Array:
@@ -168,19 +177,17 @@ def _without(grid: Array, hidden: Callable[[Array], NDArray[np.bool_]]) -> Array
 
 def _inside_torso(points: Array) -> NDArray[np.bool_]:
     x, y, z = np.moveaxis(points, -1, 0)
-    narrow = np.clip((z - 0.54) / 0.16, 0.0, 1.0) ** 2
-    width = (0.235 + 0.02 * np.cos(4.2 * z)) * (1.0 - narrow) + 0.085 * narrow
-    depth = 0.115 * (1.0 - narrow) + 0.075 * narrow
+    width, depth = _torso(z)
     inside: NDArray[np.bool_] = (x / width) ** 2 + (y / depth) ** 2 < 1.0
     return inside
 
 
-def _inside_sleeve(points: Array, side: float) -> NDArray[np.bool_]:
-    x, y, z = np.moveaxis(points, -1, 0)
-    along = np.clip((side * x - 0.19) / 0.28, 0.0, 1.0)
-    radius = 0.078 - 0.02 * along
-    up = (z - (0.56 - 0.25 * along)) / 0.95
-    inside: NDArray[np.bool_] = (up**2 + y**2 < radius**2) & (side * x > 0.15)
+def _inside_sleeve(points: Array) -> NDArray[np.bool_]:
+    flat = np.stack([np.abs(points[..., 0]), points[..., 2]], axis=-1) - _SHOULDER
+    along, across = np.moveaxis(flat @ np.linalg.inv(np.stack([_ARM, _ACROSS])), -1, 0)
+    inside: NDArray[np.bool_] = (along > 0.0) & (
+        across**2 + points[..., 1] ** 2 < _sleeve_radius(along) ** 2
+    )
     return inside
 
 

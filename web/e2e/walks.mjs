@@ -118,7 +118,7 @@ const walks = {
     await drop(page, "words.txt", "this is no scan\nat all\n");
     await page.getByText("There is no point in this file.").waitFor(PATIENCE);
     await page.getByRole("button", { name: "Reconstruct" }).click();
-    await page.getByText("This did not work").or(page.getByText("No preview")).waitFor(PATIENCE);
+    await page.getByText("This scan was not taken").waitFor(PATIENCE);
     await page
       .locator(".trouble p")
       .getByText(/format|point/)

@@ -37,7 +37,8 @@ const MOST_ON_PHONES = 200_000;
 
 export const draft = signal<Draft | null>(null);
 export const preview = signal<Scan | null>(null);
-export const problem = signal<string | null>(null);
+/** What went wrong, and where. */
+export const problem = signal<{ title: string; words: string } | null>(null);
 export const reading = signal(false);
 export const upload = signal<UploadState | null>(null);
 export const choice = signal<Choice | null>(null);
@@ -87,7 +88,7 @@ export function take(file: Blob, name: string, sample: string | null = null): vo
   reader.onmessage = ({ data }: MessageEvent<ScanAnswer>) => {
     reading.value = false;
     if ("scan" in data) preview.value = data.scan;
-    else problem.value = data.problem;
+    else problem.value = { title: "No preview", words: data.problem };
     reader?.terminate();
   };
   reader.postMessage({ file, most: isPhone.matches ? MOST_ON_PHONES : MOST_POINTS });
@@ -127,7 +128,8 @@ export async function start(): Promise<void> {
     spoken.value = `${current.name} is uploaded; the job is queued.`;
     go({ page: "job", id: job.id });
   } catch (error) {
-    if (!(error instanceof DOMException)) problem.value = (error as Error).message;
+    if (error instanceof DOMException) return; // stopped by hand
+    problem.value = { title: "This scan was not taken", words: (error as Error).message };
   } finally {
     starting.value = false;
     upload.value = null;

@@ -20,8 +20,8 @@ export function DraftPanel() {
       {found && <Facts rows={factsOf(found, current.bytes)} />}
       {found && <Warnings words={warningsOf(found)} />}
       {draft.problem.value && (
-        <Trouble title={found || draft.upload.value ? "This did not work" : "No preview"}>
-          <p>{draft.problem.value}</p>
+        <Trouble title={draft.problem.value.title}>
+          <p>{draft.problem.value.words}</p>
         </Trouble>
       )}
       {draft.upload.value ? <Uploading /> : <Settings />}

@@ -30,23 +30,25 @@ export function Stage() {
   useEffect(() => (canvas.current ? attach(canvas.current) : undefined), []);
   return (
     <section class="stage" aria-label="3D view">
-      {/* biome-ignore lint/a11y/noInteractiveElementToNoninteractiveRole: what it is to its users */}
-      <canvas
-        ref={canvas}
-        tabIndex={0}
-        role="application"
-        aria-roledescription="3D viewer"
-        aria-label={labelOf()}
-        aria-describedby="viewer-help"
-      />
-      <p id="viewer-help" class="unseen">
-        Arrow keys turn the view, plus and minus zoom, F shows everything.
-      </p>
-      <Notice />
-      <SplitHandle />
-      <Readout />
+      <div class="picture">
+        {/* biome-ignore lint/a11y/noInteractiveElementToNoninteractiveRole: what it is to its users */}
+        <canvas
+          ref={canvas}
+          tabIndex={0}
+          role="application"
+          aria-roledescription="3D viewer"
+          aria-label={labelOf()}
+          aria-describedby="viewer-help"
+        />
+        <p id="viewer-help" class="unseen">
+          Arrow keys turn the view, plus and minus zoom, F shows everything.
+        </p>
+        <Notice />
+        <SplitHandle />
+        <Readout />
+        <Toolbar />
+      </div>
       <Legends />
-      <Toolbar />
     </section>
   );
 }

@@ -1,7 +1,7 @@
 import { useRef } from "preact/hooks";
 import { count } from "../pure/format";
 import { dialog, info, jobs, loadStart, samples, trouble } from "../state/app";
-import { problem, takeSample } from "../state/draft";
+import { takeSample } from "../state/draft";
 import { takeFile } from "./App";
 import { JobCard } from "./JobCard";
 import { Trouble } from "./parts";
@@ -66,7 +66,7 @@ function showJobs(): void {
 function Samples() {
   const pick = (name: string) =>
     takeSample(name).catch((error: Error) => {
-      problem.value = error.message;
+      trouble.value = error.message;
     });
   return (
     <section>
