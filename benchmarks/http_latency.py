@@ -1,0 +1,196 @@
+"""How fast the service answers while it works: distance queries, and status polls among watchers.
+
+    python benchmarks/http_latency.py                     # starts a service of its own
+    python benchmarks/http_latency.py --watchers 200 --fits 2 --save
+
+Three tables: binary queries (points a second), small JSON queries (p50, p99) with and without a fit
+running, and status polls (p50, p99) with many open websockets and several fits running.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from common import ROOT, markdown, provenance, provenance_line, save
+from websockets.asyncio.client import connect
+
+from jobs.redis_server import EmbeddedRedis
+from udflow.client import Client
+
+SMALL = {"densify": {"target_points": 0}, "extract": {"resolution": 64}}
+LONG = {"densify": {"target_points": 400_000, "points_per_round": 1_000}}
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    options = _options()
+    origin = provenance(
+        watchers=options.watchers, fits=options.fits, polls=options.polls, queries=options.queries
+    )
+    with _service(options.fits) as url, Client(url, timeout_s=120.0) as client:
+        rows = list(_measured(client, url, options))
+    table = markdown(("what", "beside it", "result"), rows)
+    print(table)
+    if options.save:
+        text = f"# Answers over HTTP\n\n{table}\n{provenance_line(origin)}\n"
+        save("http_latency", {**origin, "rows": rows}, text)
+
+
+def _measured(client: Client, url: str, options: argparse.Namespace) -> Iterator[tuple[str, ...]]:
+    job_id = client.submit(_ball(5_000), config=SMALL)["id"]
+    client.wait(job_id)
+    yield "binary query", "nothing", _throughput(client, job_id, options.queries)
+    yield "10 points as JSON", "nothing", _small(url, job_id, options.polls)
+    fits = [client.submit(_ball(4_000 + i), config=LONG)["id"] for i in range(options.fits)]
+    while any(client.job(fit)["state"] == "queued" for fit in fits[:1]):
+        time.sleep(0.1)
+    beside = f"{options.fits} fits"
+    yield "binary query", beside, _throughput(client, job_id, options.queries)
+    yield "10 points as JSON", beside, _small(url, job_id, options.polls)
+    polls = asyncio.run(_polls(url, fits, options))
+    yield "status poll", f"{beside}, {options.watchers} websockets", polls
+    for fit in fits:
+        client.cancel(fit)
+
+
+def _ball(points: int) -> bytes:
+    normals = np.random.default_rng(points).normal(size=(points, 3))
+    file = BytesIO()
+    np.save(file, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    return file.getvalue()
+
+
+def _throughput(client: Client, job_id: str, count: int) -> str:
+    points = np.random.default_rng(0).uniform(-1, 1, (count, 3))
+    began = time.perf_counter()
+    client.query(job_id, points)
+    return f"{count / (time.perf_counter() - began):,.0f} points/s"
+
+
+def _small(url: str, job_id: str, count: int) -> str:
+    points = np.random.default_rng(1).uniform(-1, 1, (10, 3)).tolist()
+    with httpx.Client(base_url=url, timeout=60) as http:
+        return _percentiles(
+            _timed(lambda: http.post(f"/v1/jobs/{job_id}/udf", json={"points": points}))
+            for _ in range(count)
+        )
+
+
+def _timed(ask: Any) -> float:
+    began = time.perf_counter()
+    ask().raise_for_status()
+    return time.perf_counter() - began
+
+
+async def _polls(url: str, fits: list[str], options: argparse.Namespace) -> str:
+    """Status polls while websockets take all events of the fits."""
+    taken = 0
+
+    async def watch(job_id: str) -> None:
+        nonlocal taken
+        address = f"{url.replace('http', 'ws', 1)}/v1/jobs/{job_id}/events"
+        async with connect(address, open_timeout=60) as line:
+            async for _ in line:
+                taken += 1
+
+    watchers = [asyncio.create_task(watch(fits[i % len(fits)])) for i in range(options.watchers)]
+    await asyncio.sleep(5.0)
+    seconds = []
+    async with httpx.AsyncClient(base_url=url, timeout=60) as http:
+        for i in range(options.polls):
+            began = time.perf_counter()
+            (await http.get(f"/v1/jobs/{fits[i % len(fits)]}")).raise_for_status()
+            seconds.append(time.perf_counter() - began)
+            await asyncio.sleep(0.01)
+    for watcher in watchers:
+        watcher.cancel()
+    failed = [
+        one
+        for one in await asyncio.gather(*watchers, return_exceptions=True)
+        if isinstance(one, Exception)
+    ]
+    return f"{_percentiles(iter(seconds))}; {taken} events taken, {len(failed)} websockets broken"
+
+
+def _percentiles(seconds: Iterator[float]) -> str:
+    p50, p99 = np.percentile(list(seconds), [50, 99]) * 1000
+    return f"p50 {p50:.1f} ms, p99 {p99:.1f} ms"
+
+
+@contextmanager
+def _service(workers: int) -> Iterator[str]:
+    """A service of our own, with as many workers as there are fits."""
+    with tempfile.TemporaryDirectory(prefix="udflow-bench-") as folder:
+        port = _free_port()
+        data = Path(folder) / "data"
+        known = {"PORT": str(port), "UDFLOW_DATA": str(data)}
+        environment = {k: v for k, v in os.environ.items() if k != "REDIS_URL"} | known
+        log = (Path(folder) / "log").open("wb")
+        parts = [_started([sys.executable, "-m", "service.up"], environment, log)]
+        url = f"http://127.0.0.1:{port}"
+        try:
+            _until_ready(url, parts[0])
+            more = environment | {"REDIS_URL": EmbeddedRedis(data.resolve()).url}
+            for _ in range(workers - 1):
+                parts.append(_started([sys.executable, "-m", "worker"], more, log))
+            yield url
+        finally:
+            for part in reversed(parts):
+                part.send_signal(signal.SIGINT if part is parts[0] else signal.SIGTERM)
+                part.wait(30)
+            log.close()
+
+
+def _started(command: list[str], environment: dict[str, str], log: Any) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=log, stderr=log, start_new_session=True
+    )
+
+
+def _until_ready(url: str, process: subprocess.Popen[bytes]) -> None:
+    for _ in range(900):
+        if process.poll() is not None:
+            raise SystemExit("the service ended before it was ready")
+        try:
+            if httpx.get(f"{url}/readyz", timeout=5).status_code == 200:
+                return
+        except httpx.TransportError:
+            pass
+        time.sleep(0.2)
+    raise SystemExit("the service does not become ready")
+
+
+def _free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        return port
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--watchers", type=int, default=200, help="open websockets")
+    parser.add_argument("--fits", type=int, default=2, help="running beside")
+    parser.add_argument("--polls", type=int, default=300, help="requests of each kind")
+    parser.add_argument("--queries", type=int, default=1_000_000, help="points of a binary query")
+    parser.add_argument("--save", action="store_true", help="write docs/results")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
