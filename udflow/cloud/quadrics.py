@@ -8,21 +8,17 @@ the curvature bias of tangent planes. Normals are unsigned and of no consequence
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
 from udflow.cloud.neighbours import Neighbours, NeighbourTree
 
-NEIGHBOUR_COUNTS = (10, 16, 24, 40, 64, 96)  # widths tried for each sample
-_SCORE_NEIGHBOURS = 48  # samples over which held-back errors are averaged
 _FALLOFF = 2.0  # weight exp(-falloff (distance / radius)^2)
-_FINE = 0.02  # of the spacing: a held-back error not worth a wider neighbourhood
 _PATCH = 2.0  # radii from its sample beyond which a quadric is not followed
-_BLEND = 6  # quadrics that share in a foot
-_DISSENT = 0.65  # spacings by which a foot may differ from that on the nearest quadric
-_REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
+# A breath of regularisation keeps collinear neighbourhoods solvable and flat ones flat.
+_RIDGE = (1e-6, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3)
 _CHUNK = 1 << 15
 
 
@@ -57,98 +53,75 @@ class LocalQuadrics:
         return LocalQuadrics(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
-def fit_quadrics(sites: Tensor, samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
-    """Fits a quadric at every site, each with the width that predicts held-back samples best.
-
-    Widths are tried from narrow to wide; a site goes on to a wider one only while its
-    neighbourhood's held-back error falls and is worth lowering, so clean data stay sharp and
-    noisy data are averaged.
-
-    Args:
-        sites: (n, 3) some of the samples, unit frame.
-        samples: (m, 3) distinct points, the data.
-        tree: the tree of the samples.
-    """
-    counts = [k for k in NEIGHBOUR_COUNTS if k <= tree.size] or [tree.size]
-    score_neighbours = NeighbourTree(sites).nearest(sites, _SCORE_NEIGHBOURS)
-    best = _fit(samples, tree, sites, counts[0])
-    best_score = _smoothed(best.error, score_neighbours)
-    growing = (best_score > _FINE * best.spacing).nonzero().squeeze(1)
-    for k in counts[1:]:
-        if len(growing) == 0:
-            break
-        wider = _fit(samples, tree, sites[growing], k)
-        error = best.error.clone()
-        error[growing] = wider.error
-        score = _smoothed(error, score_neighbours)
-        better = score[growing] < best_score[growing]
-        growing = growing[better]
-        _replace(best, growing, wider[better])
-        best_score[growing] = score[growing]
-        growing = growing[best_score[growing] > _FINE * best.spacing[growing]]
-    return replace(best, error=best_score)
-
-
-def quadrics_between(
-    points: Tensor, samples: Tensor, tree: NeighbourTree, like: LocalQuadrics
-) -> LocalQuadrics:
-    """Quadrics at points between the samples, as wide as given ones.
-
-    Args:
-        points: (n, 3) origins of the new quadrics, unit frame.
-        samples: (m, 3) the data that they are fitted to.
-        tree: the tree of the samples.
-        like: n quadrics that were fitted nearby.
-    """
-    result = LocalQuadrics(*(torch.empty_like(getattr(like, f.name)) for f in fields(like)))
-    for k in like.count.unique().tolist():
-        which = (like.count == k).nonzero().squeeze(1)
-        _replace(result, which, _fit(samples, tree, points[which], int(k)))
-    return replace(result, error=like.error, spacing=like.spacing)
-
-
 @dataclass(frozen=True)
-class QuadricSurface:
-    """Quadrics and the tree of their origins, the sites. A `ProjectiveField` by itself: right at
-    any distance, exact where samples are dense, and slower than a fitted field."""
+class Fits:
+    """Quadrics fitted with one number of neighbours.
+
+    Attributes:
+        quadrics: n of them.
+        variance: (n,) share of the samples' noise variance that is left in the height of each
+            quadric at its site.
+    """
 
     quadrics: LocalQuadrics
-    tree: NeighbourTree
-
-    @classmethod
-    def of(cls, quadrics: LocalQuadrics) -> QuadricSurface:
-        """The surface of some quadrics."""
-        return cls(quadrics, NeighbourTree(quadrics.origin))
-
-    def project(self, points: Tensor) -> Tensor:
-        """Feet of (n, 3) points on the blended quadrics of their nearest sites."""
-        if len(points) == 0:
-            return points
-        return torch.cat([self._project(chunk) for chunk in points.split(_CHUNK)])
-
-    def _project(self, points: Tensor) -> Tensor:
-        near = self.tree.nearest(points, _BLEND)
-        count = near.index.shape[1]
-        feet = feet_on_quadrics(
-            self.quadrics[near.index.reshape(-1)],
-            points[:, None].expand(-1, count, -1).reshape(-1, 3),
-        ).view(-1, count, 3)
-        nearest = self.quadrics.origin[near.index[:, 0]]
-        spacing = self.quadrics.spacing[near.index[:, 0]]
-
-        first, last = near.distance[:, :1], near.distance[:, -1:]
-        closeness = (near.distance.square() - first.square()) / last.square().clamp_min(1e-18)
-        # quadrics of another sheet or of the far side of a crease must not pull the foot
-        dissent = (feet - feet[:, :1]).norm(dim=2) / (_DISSENT * spacing[:, None])
-        weights = torch.exp(-4 * closeness - dissent.square())
-        foot = (weights[..., None] * feet).sum(dim=1) / weights.sum(dim=1, keepdim=True)
-        return nearest + _limited(foot - nearest, _REACH * spacing)
+    variance: Tensor
 
 
-def _limited(offset: Tensor, limit: Tensor) -> Tensor:
-    """Offsets (n, 3) shortened to at most `limit` (n,): quadrics end where their data end."""
-    length = offset.norm(dim=1).clamp_min(1e-18)
-    return offset * (limit / length).clamp_max(1.0)[:, None]
+def fit_width(samples: Tensor, tree: NeighbourTree, origins: Tensor, k: int) -> Fits:
+    """Fits a quadric to the k nearest samples of each origin.
+
+    Args:
+        samples: (m, 3) the data.
+        tree: the tree of the samples.
+        origins: (n, 3) where the quadrics are wanted, unit frame.
+        k: neighbours to use.
+    """
+    parts = [_fit_chunk(samples, tree.nearest(part, k), part) for part in origins.split(_CHUNK)]
+    return Fits(joined([p.quadrics for p in parts]), torch.cat([p.variance for p in parts]))
+
+
+def fit_chosen(
+    samples: Tensor, neighbours: Neighbours, origin: Tensor, chosen: Tensor
+) -> LocalQuadrics:
+    """Fits quadrics to some of the neighbours of each origin.
+
+    Args:
+        samples: (m, 3) the data.
+        neighbours: k of each origin.
+        origin: (n, 3) where the quadrics are wanted.
+        chosen: (n, k) bool, the neighbours to fit to.
+    """
+    counted = Neighbours(neighbours.distance * chosen, neighbours.index)
+    return _fit_weighted(samples, counted, origin, chosen.float()).quadrics
+
+
+def _fit_chunk(samples: Tensor, neighbours: Neighbours, origin: Tensor) -> Fits:
+    return _fit_weighted(samples, neighbours, origin, torch.ones_like(neighbours.distance))
+
+
+def _fit_weighted(samples: Tensor, neighbours: Neighbours, origin: Tensor, share: Tensor) -> Fits:
+    offsets = samples[neighbours.index] - origin[:, None]
+    radius = neighbours.distance.amax(dim=1, keepdim=True).clamp_min(1e-9)
+    weights = share * torch.exp(-_FALLOFF * (neighbours.distance / radius).square())
+    frame = principal_frame(offsets, weights)
+    local = torch.einsum("nkj,nij->nki", offsets / radius[..., None], frame)
+    basis = _monomials(local[..., 0], local[..., 1])
+    normal_matrix = torch.einsum("nk,nki,nkj->nij", weights, basis, basis)
+    ridge = torch.diag(torch.tensor(_RIDGE, device=samples.device))
+    normal_matrix = normal_matrix + ridge * weights.sum(dim=1)[:, None, None]
+    inverse = torch.linalg.inv(normal_matrix)
+    moments = torch.einsum("nk,nki,nk->ni", weights, basis, local[..., 2])
+    coefficients = torch.einsum("nij,nj->ni", inverse, moments)
+    # leave-one-out residual of the sample itself: r / (1 - H), with H its own influence
+    influence = inverse[:, 0, 0].clamp(0, 0.999)
+    error = (coefficients[:, 0].abs() / (1 - influence)) * radius[:, 0]
+    # the height at the site is a weighted sum of the samples' heights
+    heights = weights * torch.einsum("ni,nki->nk", inverse[:, 0], basis)
+    # one sample per a^2 puts the sixth neighbour at about 1.3 a
+    spacing = neighbours.distance[:, min(6, neighbours.distance.shape[1] - 1)] / 1.3
+    count = share.sum(dim=1).long()
+    quadrics = LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, spacing, count)
+    return Fits(quadrics, heights.square().sum(dim=1))
 
 
 def joined(parts: list[LocalQuadrics]) -> LocalQuadrics:
@@ -158,44 +131,10 @@ def joined(parts: list[LocalQuadrics]) -> LocalQuadrics:
     )
 
 
-def _replace(target: LocalQuadrics, which: Tensor, values: LocalQuadrics) -> None:
+def put(target: LocalQuadrics, which: Tensor, values: LocalQuadrics) -> None:
+    """Replaces some of the quadrics, in place."""
     for f in fields(LocalQuadrics):
         getattr(target, f.name)[which] = getattr(values, f.name)
-
-
-def _smoothed(error: Tensor, neighbours: Neighbours) -> Tensor:
-    """Root of the mean squared error over the neighbourhood, (n,)."""
-    return error.square()[neighbours.index].mean(dim=1).sqrt()
-
-
-def _fit(samples: Tensor, tree: NeighbourTree, origins: Tensor, k: int) -> LocalQuadrics:
-    return joined(
-        [_fit_chunk(samples, tree.nearest(part, k), part) for part in origins.split(_CHUNK)]
-    )
-
-
-def _fit_chunk(samples: Tensor, neighbours: Neighbours, origin: Tensor) -> LocalQuadrics:
-    offsets = samples[neighbours.index] - origin[:, None]
-    radius = neighbours.distance[:, -1:].clamp_min(1e-9)
-    weights = torch.exp(-_FALLOFF * (neighbours.distance / radius).square())
-    frame = principal_frame(offsets, weights)
-    local = torch.einsum("nkj,nij->nki", offsets / radius[..., None], frame)
-    basis = _monomials(local[..., 0], local[..., 1])
-    normal_matrix = torch.einsum("nk,nki,nkj->nij", weights, basis, basis)
-    total = weights.sum(dim=1)
-    # a breath of regularisation keeps collinear neighbourhoods solvable and flat ones flat
-    ridge = torch.tensor([1e-6, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3], device=samples.device)
-    normal_matrix = normal_matrix + torch.diag(ridge) * total[:, None, None]
-    inverse = torch.linalg.inv(normal_matrix)
-    moments = torch.einsum("nk,nki,nk->ni", weights, basis, local[..., 2])
-    coefficients = torch.einsum("nij,nj->ni", inverse, moments)
-    # leave-one-out residual of the sample itself: r / (1 - H), with H its own influence
-    influence = inverse[:, 0, 0].clamp(0, 0.999)
-    error = (coefficients[:, 0].abs() / (1 - influence)) * radius[:, 0]
-    # one sample per a^2 puts the sixth neighbour at about 1.3 a
-    spacing = neighbours.distance[:, min(6, neighbours.distance.shape[1] - 1)] / 1.3
-    count = torch.full_like(neighbours.index[:, 0], neighbours.index.shape[1])
-    return LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, spacing, count)
 
 
 def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:
@@ -211,6 +150,25 @@ def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:
 
 def _monomials(u: Tensor, v: Tensor) -> Tensor:
     return torch.stack([torch.ones_like(u), u, v, u * u, u * v, v * v], dim=-1)
+
+
+def heights_over(quadrics: LocalQuadrics, points: Tensor) -> Tensor:
+    """Heights (n, k) of k points each (n, k, 3) over n quadrics, along the quadrics' own w."""
+    offset = (points - quadrics.origin[:, None]) / quadrics.radius[:, None, None]
+    local = torch.einsum("nkj,nij->nki", offset, quadrics.frame)
+    surface = _monomials(local[..., 0], local[..., 1]) * quadrics.coefficients[:, None]
+    return (local[..., 2] - surface.sum(dim=-1)) * quadrics.radius[:, None]
+
+
+def normals_at(quadrics: LocalQuadrics, points: Tensor) -> Tensor:
+    """Unit normals (n, 3) of n quadrics above or below the points (n, 3)."""
+    offset = (points - quadrics.origin) / quadrics.radius[:, None]
+    u, v = torch.einsum("nj,nij->ni", offset, quadrics.frame)[:, :2].unbind(dim=1)
+    _, c1, c2, c3, c4, c5 = quadrics.coefficients.unbind(dim=1)
+    slope_u, slope_v = c1 + 2 * c3 * u + c4 * v, c2 + c4 * u + 2 * c5 * v
+    local = torch.stack([-slope_u, -slope_v, torch.ones_like(u)], dim=1)
+    normal = torch.einsum("ni,nij->nj", local, quadrics.frame)
+    return normal / normal.norm(dim=1, keepdim=True)
 
 
 def feet_on_quadrics(quadrics: LocalQuadrics, queries: Tensor, newton_steps: int = 2) -> Tensor:

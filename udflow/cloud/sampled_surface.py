@@ -8,7 +8,10 @@ import torch
 from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
-from udflow.cloud.quadrics import QuadricSurface, fit_quadrics, joined, quadrics_between
+from udflow.cloud.pieces import on_one_piece
+from udflow.cloud.quadric_surface import QuadricSurface, quadrics_between
+from udflow.cloud.quadrics import joined
+from udflow.cloud.widths import fit_quadrics
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class SampledSurface:
         """
         tree = NeighbourTree(samples)
         sites = thinned(samples, detail) if detail > 0 else samples
-        quadrics = fit_quadrics(sites, samples, tree)
+        quadrics = on_one_piece(fit_quadrics(sites, samples, tree), samples, tree)
         if detail > 0:
             quadrics = replace(quadrics, spacing=quadrics.spacing.clamp_min(detail))
         return cls(samples, tree, QuadricSurface.of(quadrics))
@@ -46,7 +49,8 @@ class SampledSurface:
         quadrics = self.surface.quadrics
         nearest = quadrics[self.surface.tree.nearest(points, 1).index[:, 0]]
         between = quadrics_between(points, self.samples, self.tree, nearest)
-        return replace(self, surface=QuadricSurface.of(joined([quadrics, between])))
+        every = on_one_piece(joined([quadrics, between]), self.samples, self.tree)
+        return replace(self, surface=QuadricSurface.of(every))
 
     def project(self, points: Tensor) -> Tensor:
         """Feet of (n, 3) points on the quadrics."""

@@ -14,7 +14,8 @@ from safetensors.torch import save as to_bytes
 from torch import Tensor
 
 from udflow.cloud.normalisation import Normalisation
-from udflow.cloud.quadrics import LocalQuadrics, QuadricSurface
+from udflow.cloud.quadric_surface import QuadricSurface
+from udflow.cloud.quadrics import LocalQuadrics
 from udflow.errors import BadField
 from udflow.fields.cap_udf import CapUdfField
 from udflow.fields.interface import FittedField

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from udflow.cloud.normalisation import Normalisation
-from udflow.cloud.quadrics import QuadricSurface
+from udflow.cloud.quadric_surface import QuadricSurface
 from udflow.errors import InvalidQuery
 from udflow.fields.interface import FittedField
 

@@ -11,15 +11,9 @@ from shapes import PlanePatch, Sphere, Torus
 from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
-from udflow.cloud.quadrics import (
-    NEIGHBOUR_COUNTS,
-    LocalQuadrics,
-    feet_on_quadrics,
-    fit_quadrics,
-    joined,
-    principal_frame,
-    quadrics_between,
-)
+from udflow.cloud.quadric_surface import quadrics_between
+from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, joined, principal_frame
+from udflow.cloud.widths import NEIGHBOUR_COUNTS, fit_quadrics
 
 
 def noisy(points: Tensor, sigma: float) -> Tensor:

@@ -1,0 +1,82 @@
+"""The surface that local quadrics make together: blended where smooth, joined at creases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from udflow.cloud.creases import Candidates, feet_at_creases
+from udflow.cloud.neighbours import NeighbourTree
+from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, fit_width, put
+
+_BLEND = 6  # quadrics that share in a foot
+_REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
+_CHUNK = 1 << 15
+
+
+@dataclass(frozen=True)
+class QuadricSurface:
+    """Quadrics and the tree of their origins, the sites. A `ProjectiveField` by itself: right at
+    any distance, exact where samples are dense, and slower than a fitted field."""
+
+    quadrics: LocalQuadrics
+    tree: NeighbourTree
+
+    @classmethod
+    def of(cls, quadrics: LocalQuadrics) -> QuadricSurface:
+        """The surface of some quadrics."""
+        return cls(quadrics, NeighbourTree(quadrics.origin))
+
+    def project(self, points: Tensor) -> Tensor:
+        """Feet of (n, 3) points on the quadrics of their nearest sites."""
+        if len(points) == 0:
+            return points
+        return torch.cat([self._project(chunk) for chunk in points.split(_CHUNK)])
+
+    def _project(self, points: Tensor) -> Tensor:
+        near = self.tree.nearest(points, _BLEND)
+        count = near.index.shape[1]
+        quadrics = self.quadrics[near.index.reshape(-1)]
+        feet = feet_on_quadrics(quadrics, points[:, None].expand(-1, count, -1).reshape(-1, 3))
+        first, last = near.distance[:, :1], near.distance[:, -1:]
+        candidates = Candidates(
+            points=points,
+            quadrics=near.index,
+            feet=feet.view(-1, count, 3),
+            origins=quadrics.origin.view(-1, count, 3),
+            normals=quadrics.frame[:, 2].reshape(-1, count, 3),
+            spacing=quadrics.spacing.view(-1, count)[:, 0],
+            farness=(near.distance.square() - first.square()) / last.square().clamp_min(1e-18),
+        )
+        foot = candidates.blended(candidates.feet[:, 0], torch.ones_like(near.distance))
+        creased = candidates.creased()
+        if len(creased) > 0:
+            foot[creased] = feet_at_creases(self.quadrics, candidates[creased])
+        nearest = candidates.origins[:, 0]
+        return nearest + _limited(foot - nearest, _REACH * candidates.spacing)
+
+
+def quadrics_between(
+    points: Tensor, samples: Tensor, tree: NeighbourTree, like: LocalQuadrics
+) -> LocalQuadrics:
+    """Quadrics at points between the samples, as wide as given ones.
+
+    Args:
+        points: (n, 3) origins of the new quadrics, unit frame.
+        samples: (m, 3) the data that they are fitted to.
+        tree: the tree of the samples.
+        like: n quadrics that were fitted nearby.
+    """
+    result = LocalQuadrics(*(torch.empty_like(getattr(like, f.name)) for f in fields(like)))
+    for k in like.count.unique().tolist():
+        which = (like.count == k).nonzero().squeeze(1)
+        put(result, which, fit_width(samples, tree, points[which], int(k)).quadrics)
+    return replace(result, error=like.error, spacing=like.spacing)
+
+
+def _limited(offset: Tensor, limit: Tensor) -> Tensor:
+    """Offsets (n, 3) shortened to at most `limit` (n,): quadrics end where their data end."""
+    length = offset.norm(dim=1).clamp_min(1e-18)
+    return offset * (limit / length).clamp_max(1.0)[:, None]
