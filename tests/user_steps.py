@@ -16,6 +16,7 @@ SMALL = {
     "densify": {"target_points": 3000, "points_per_round": 500},
 }
 RADIUS = 2.5
+KEY = "a-key-for-the-tests-of-the-page"
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
 from api_process import ROOT, free_port, wait_until_up
-from user_steps import Finished, sphere, submit, wait
+from user_steps import KEY, Finished, sphere, submit, wait
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +24,21 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def url(data: Path) -> Iterator[str]:
-    """The address of a running service. Ctrl-C must end all of it."""
+    """The address of a running service."""
+    with running(data) as address:
+        yield address
+
+
+@pytest.fixture
+def locked_url(tmp_path: Path) -> Iterator[str]:
+    """The address of a service that wants KEY."""
+    with running(tmp_path / "data", UDFLOW_KEY=KEY) as address:
+        yield address
+
+
+@contextmanager
+def running(data: Path, **more: str) -> Iterator[str]:
+    """`service.up`, ready. Ctrl-C must end all of it."""
     folder = data.parent
     port = free_port()
     environment = {
@@ -31,6 +46,7 @@ def url(data: Path) -> Iterator[str]:
         "PORT": str(port),
         "UDFLOW_DATA": str(data),
         "OMP_NUM_THREADS": "1",
+        **more,
     }
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import trimesh
 from api_process import ROOT
+from user_steps import KEY
 
 from jobs.previews import Previews
 from jobs.records import JobRecords
@@ -90,6 +91,10 @@ def test_an_api_that_comes_back_finds_its_watchers(walk: Walk, data: Path) -> No
 
 def test_trouble_is_told_in_words(walk: Walk) -> None:
     walk("trouble")
+
+
+def test_a_key_is_asked_for_and_used_everywhere(walk: Walk, locked_url: str) -> None:
+    walk("locked", url=locked_url, key=KEY)
 
 
 def test_many_frames_are_drawn_in_the_same_memory(walk: Walk, shown_job: str) -> None:

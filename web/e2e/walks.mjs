@@ -133,6 +133,27 @@ const walks = {
     return {};
   },
 
+  /** Where a key is needed: it is asked for, and then used for requests, sockets and downloads. */
+  async locked() {
+    const { browser, page, mistakes } = await open();
+    await page.getByRole("heading", { name: "This service needs a key" }).waitFor(PATIENCE);
+    await checkAccess(page, "the question for the key");
+    await page.getByLabel("Key", { exact: false }).last().fill(settings.key);
+    await page.getByRole("button", { name: "Go on" }).click();
+    await page.getByRole("button", { name: /Vase/ }).waitFor(PATIENCE);
+    await begin(page, SMALL);
+    await page.getByText(/densified in round \d+ of/).waitFor(PATIENCE);
+    await page.getByRole("button", { name: "Distances" }).waitFor(PATIENCE);
+    const [download] = await Promise.all([
+      page.waitForEvent("download"),
+      page.getByRole("link", { name: "Report" }).click(),
+    ]);
+    assert.equal(download.suggestedFilename(), "report.json");
+    assert.deepEqual(mistakes, []);
+    await browser.close();
+    return {};
+  },
+
   /** Many frames: how long one takes to be drawn, and whether memory stays. */
   async frames() {
     const { browser, page, mistakes } = await open({

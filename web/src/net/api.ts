@@ -168,10 +168,11 @@ export const getSamples = () =>
 export const getSample = (name: string) =>
   ask(`v1/samples/${name}`).then((answer) => answer.blob());
 export const makeSample = (name: string) => json<ScanInfo>(`v1/samples/${name}`, post());
+/** Stands for the key once, in the address of a websocket, which can send no header. */
+export const getTicket = () =>
+  json<{ ticket: string }>("v1/tickets", post()).then((answer) => answer.ticket);
 export const getScan = (id: string) => json<ScanInfo>(`v1/scans/${id}`);
 export const getJob = (id: string) => json<Job>(`v1/jobs/${id}`);
-export const waitForJob = (id: string, signal: AbortSignal) =>
-  json<Job>(`v1/jobs/${id}?wait=20`, { signal });
 export const listJobs = (limit: number) =>
   json<{ jobs: Job[]; next_cursor: string | null }>(`v1/jobs?limit=${limit}`);
 export const getReport = (id: string) => json<Report>(`v1/jobs/${id}/report`);

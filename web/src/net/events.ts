@@ -1,8 +1,7 @@
-/** Following a job: one websocket that comes back by itself, without loss or repeat; where a key
- * is needed, which a browser's websocket cannot send, waiting requests instead. */
+/** Following a job: one websocket that comes back by itself, without loss or repeat. */
 
 import { type Frame, readFrame } from "../pure/frame";
-import { address, ENDED, hasKey, type Job, Problem, waitForJob } from "./api";
+import { address, getTicket, hasKey, type Job, Problem } from "./api";
 
 export interface JobEvent {
   id?: string;
@@ -29,9 +28,9 @@ const LONGEST_PAUSE_MS = 8000;
 
 /** Follows a job until its end. Returns a function that stops it. */
 export function follow(id: string, listener: Listener): () => void {
-  const follower = hasKey() ? new Poller(id, listener) : new Socket(id, listener);
-  follower.start();
-  return () => follower.stop();
+  const socket = new Socket(id, listener);
+  void socket.start();
+  return () => socket.stop();
 }
 
 class Socket {
@@ -46,10 +45,17 @@ class Socket {
     private readonly listener: Listener,
   ) {}
 
-  start(): void {
+  async start(): Promise<void> {
     const url = new URL(address(`v1/jobs/${this.id}/events`));
     url.protocol = url.protocol.replace("http", "ws");
     url.search = `previews=binary&after=${this.after}`;
+    try {
+      if (hasKey()) url.searchParams.set("ticket", await getTicket());
+    } catch (error) {
+      this.refused(error as Problem);
+      return;
+    }
+    if (this.stopped) return;
     this.socket = new WebSocket(url);
     this.socket.binaryType = "arraybuffer";
     this.socket.onmessage = (message) => this.take(message.data);
@@ -87,43 +93,19 @@ class Socket {
       this.listener.failed(new Problem(404, "job_not_found", words));
       return;
     }
+    this.later();
+  }
+
+  /** No ticket: the key is wrong, or nobody answers. */
+  private refused(problem: Problem): void {
+    if (this.stopped) return;
+    if (problem.status === 401 || problem.status === 403) this.listener.failed(problem);
+    else this.later();
+  }
+
+  private later(): void {
     this.listener.live(false);
-    this.timer = window.setTimeout(() => this.start(), this.pause);
+    this.timer = window.setTimeout(() => void this.start(), this.pause);
     this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
-  }
-}
-
-class Poller {
-  private readonly abort = new AbortController();
-
-  constructor(
-    private readonly id: string,
-    private readonly listener: Listener,
-  ) {}
-
-  start(): void {
-    this.run();
-  }
-
-  stop(): void {
-    this.abort.abort();
-  }
-
-  private async run(): Promise<void> {
-    while (!this.abort.signal.aborted) {
-      try {
-        const job = await waitForJob(this.id, this.abort.signal);
-        this.listener.live(true);
-        this.listener.snapshot(job);
-        if (ENDED.includes(job.state)) return this.listener.ended();
-      } catch (error) {
-        if (this.abort.signal.aborted) return;
-        if (error instanceof Problem && error.status >= 400 && error.status < 500) {
-          return this.listener.failed(error);
-        }
-        this.listener.live(false);
-      }
-      await new Promise((resolve) => setTimeout(resolve, 700));
-    }
   }
 }

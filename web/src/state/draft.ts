@@ -8,6 +8,7 @@ import {
   getSample,
   type Job,
   makeSample,
+  Problem,
   type ScanInfo,
 } from "../net/api";
 import { Upload, type UploadState } from "../net/upload";
@@ -37,8 +38,8 @@ const MOST_ON_PHONES = 200_000;
 
 export const draft = signal<Draft | null>(null);
 export const preview = signal<Scan | null>(null);
-/** What went wrong, and where. */
-export const problem = signal<{ title: string; words: string } | null>(null);
+/** What went wrong. refused: the service will never take these bytes. */
+export const problem = signal<{ title: string; words: string; refused: boolean } | null>(null);
 export const reading = signal(false);
 export const upload = signal<UploadState | null>(null);
 export const choice = signal<Choice | null>(null);
@@ -88,7 +89,7 @@ export function take(file: Blob, name: string, sample: string | null = null): vo
   reader.onmessage = ({ data }: MessageEvent<ScanAnswer>) => {
     reading.value = false;
     if ("scan" in data) preview.value = data.scan;
-    else problem.value = { title: "No preview", words: data.problem };
+    else problem.value = { title: "No preview", words: data.problem, refused: false };
     reader?.terminate();
   };
   reader.postMessage({ file, most: isPhone.matches ? MOST_ON_PHONES : MOST_POINTS });
@@ -129,7 +130,8 @@ export async function start(): Promise<void> {
     go({ page: "job", id: job.id });
   } catch (error) {
     if (error instanceof DOMException) return; // stopped by hand
-    problem.value = { title: "This scan was not taken", words: (error as Error).message };
+    const refused = error instanceof Problem && [413, 415, 422].includes(error.status);
+    problem.value = { title: "This scan was not taken", words: (error as Error).message, refused };
   } finally {
     starting.value = false;
     upload.value = null;

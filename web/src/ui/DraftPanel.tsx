@@ -3,7 +3,7 @@ import { box, bytes, count } from "../pure/format";
 import type { Scan } from "../pure/formats/collector";
 import { info } from "../state/app";
 import * as draft from "../state/draft";
-import { Bar, Facts, Trouble, Warnings } from "./parts";
+import { Bar, Facts, sentence, Trouble, Warnings } from "./parts";
 
 const FAR = 1e5;
 const FEW = 100;
@@ -11,21 +11,34 @@ const FEW = 100;
 export function DraftPanel() {
   const current = draft.draft.value;
   const found = draft.preview.value;
+  const trouble = draft.problem.value;
   if (!current) return null;
   return (
     <>
-      <p class="eyebrow">Preview · nothing is sent yet</p>
+      <p class="eyebrow">{trouble?.refused ? "Refused" : "Preview · nothing is sent yet"}</p>
       <h1 class="name">{current.name}</h1>
       {draft.reading.value && <p class="quiet">Reading the points…</p>}
       {found && <Facts rows={factsOf(found, current.bytes)} />}
       {found && <Warnings words={warningsOf(found)} />}
-      {draft.problem.value && (
-        <Trouble title={draft.problem.value.title}>
-          <p>{draft.problem.value.words}</p>
+      {trouble && (
+        <Trouble title={trouble.title}>
+          <p>{sentence(trouble.words)}</p>
         </Trouble>
       )}
-      {draft.upload.value ? <Uploading /> : <Settings />}
+      {below(trouble?.refused === true)}
     </>
+  );
+}
+
+function below(refused: boolean) {
+  if (draft.upload.value) return <Uploading />;
+  if (!refused) return <Settings />;
+  return (
+    <div class="actions">
+      <button type="button" class="main" onClick={draft.forget}>
+        Another scan
+      </button>
+    </div>
   );
 }
 

@@ -2,7 +2,7 @@ import type { Job } from "../net/api";
 import { go } from "../state/app";
 import { failure, job, scan } from "../state/job";
 import { again } from "./actions";
-import { Trouble } from "./parts";
+import { sentence, Trouble } from "./parts";
 
 const TITLES: Partial<Record<Job["state"], string>> = {
   failed: "The job failed",
@@ -33,11 +33,4 @@ export function EndedPanel() {
       </div>
     </>
   );
-}
-
-/** With a capital letter and a full stop. */
-export function sentence(words: string): string {
-  const text = words.trim();
-  const begun = text.charAt(0).toUpperCase() + text.slice(1);
-  return /[.!?…]$/.test(begun) ? begun : `${begun}.`;
 }

@@ -7,7 +7,7 @@ import { length } from "../pure/format";
 import type { Frame } from "../pure/frame";
 import { heroFrame, heroPoints, heroRounds } from "../pure/hero";
 import { isDark, prefersDark, prefersStill, route, theme } from "../state/app";
-import { draft, preview } from "../state/draft";
+import { draft, preview, reading } from "../state/draft";
 import { compared, frames, job, result, scan } from "../state/job";
 import * as look from "../state/look";
 import type { Vector } from "../viewer/space";
@@ -61,7 +61,10 @@ function labelOf(): string {
 }
 
 function Notice() {
-  const words = unable.value ?? (lost.value ? "The graphics card was lost. Waiting for it…" : null);
+  const empty =
+    draft.value && !preview.value && !reading.value ? "There is no picture of this file." : null;
+  const words =
+    unable.value ?? (lost.value ? "The graphics card was lost. Waiting for it…" : empty);
   return words && <p class="notice">{words}</p>;
 }
 

@@ -59,3 +59,10 @@ export function Warnings({ words }: { words: readonly string[] }) {
     </ul>
   );
 }
+
+/** With a capital letter and a full stop. */
+export function sentence(words: string): string {
+  const text = words.trim();
+  const begun = text.charAt(0).toUpperCase() + text.slice(1);
+  return /[.!?…]$/.test(begun) ? begun : `${begun}.`;
+}
