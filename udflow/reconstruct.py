@@ -11,26 +11,23 @@ from typing import Any
 import numpy as np
 import torch
 
-import udflow
 from udflow import densify
 from udflow.cloud.inspection import require_reconstructable
 from udflow.cloud.normalisation import Normalisation
 from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.sampled_surface import SampledSurface
-from udflow.config import Config, ExtractConfig, to_dict
-from udflow.errors import EmptySurface
+from udflow.config import Config
 from udflow.fields.interface import ProjectiveField
-from udflow.fields.network import Network
 from udflow.fields.unsigned import SurfaceField, UnsignedDistanceField
 from udflow.fit.checkpoint import Keeper, origin_of
 from udflow.fit.kinds import Fit, fitting_of
-from udflow.fit.neural import network_config
-from udflow.fit.spline import finest_resolution
+from udflow.glance import Glance
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.settling import settled
-from udflow.progress import CoarseMesh, GrownCloud, Progress, Stage
+from udflow.progress import Progress, Stage
+from udflow.report import about_run
 
 _SITE_PER_VOXEL = 0.5  # detail of the data that a mesh of a given voxel can show
 
@@ -168,10 +165,8 @@ class _Run:
 
     def _grown(self, fit: Fit) -> bool:
         """One round of densification; whether it added anything."""
-        before = densify.Round(self.round, self.samples, 0)
-        after = densify.reflow_round(
-            before, self.measured, fit.field, self.config.densify, self.generator
-        )
+        before, how = densify.Round(self.round, self.samples, 0), self.config.densify
+        after = densify.reflow_round(before, self.measured, fit.field, how, self.generator)
         if after.added == 0:
             return False
         self.samples, self.round = after.samples, after.number
@@ -182,15 +177,8 @@ class _Run:
     def _fitted(self, stage: Stage, earlier: Fit | None = None) -> Generator[Progress, None, Fit]:
         """A new fit, or the earlier one when it is to be enough."""
         random = self.generator.get_state()
-        fitting = fitting_of(
-            self.samples,
-            self._surface(),
-            self.config,
-            self.round,
-            self.rounds,
-            earlier,
-            self.generator,
-        )
+        surface, numbers = self._surface(), (self.round, self.rounds)
+        fitting = fitting_of(self.samples, surface, self.config, *numbers, earlier, self.generator)
         if self.keeper is not None:
             self.keeper.resume(fitting)
         yield self._progress(stage, 0, fitting.total)
@@ -254,13 +242,10 @@ class _Run:
         )
 
     def _report(self, mesh: Mesh) -> dict[str, Any]:
-        scale = self.normalisation.scale
         surface = self._measured_surface()
         return {
-            "version": udflow.__version__,
-            "torch": torch.__version__,
+            **about_run(self.config, self.cloud, self.normalisation, surface),
             "device": str(self.samples.device),
-            "config": to_dict(self.config),
             "points": {
                 "input": len(self.cloud.points),
                 "unique": len(self.measured),
@@ -269,22 +254,15 @@ class _Run:
             },
             "densification": self.counts,
             "partial": self.partial,
-            "frame": {"centre": list(self.normalisation.centre), "scale": scale},
-            "spacing": surface.spacing * scale,
-            "sample_error": surface.error * scale,
-            **self._about_field(surface.spacing),
             "loss": self.loss,
             "mesh": {"vertices": len(mesh.vertices), "faces": len(mesh.faces)},
             "seconds": {**self.seconds, "total": time.monotonic() - self.started},
-            "warnings": list(self.cloud.warnings),
         }
 
-    def _about_field(self, spacing: float) -> dict[str, Any]:
-        if self.config.field == "spline":
-            return {"spline_resolution": finest_resolution(spacing, self.config)}
-        network = Network(network_config(self.config))
-        batch = self.config.training.batch
-        return {"parameters": network.size, "flops_per_iteration": network.flops(batch)}
+    def _glance(self) -> Glance:
+        field = None if self.latest is None else self.unit_field(self.latest)
+        births = tuple(self.births)
+        return Glance(self.fits, self.samples, births, self.normalisation, field)
 
     def _clock(self, stage: Stage) -> None:
         """Books the time since the last booking to a stage."""
@@ -303,7 +281,7 @@ class _Run:
             round=self.round,
             rounds=self.rounds,
             loss=self.loss,
-            look=_Glance(self),
+            look=self._glance(),
         )
 
     def _fraction(self, stage: Stage, within: float) -> float:
@@ -317,31 +295,3 @@ class _Run:
             "exporting": self.rounds + 1.9 + 0.1 * within,
         }
         return min(done[stage] / parts, 1.0)
-
-
-class _Glance:
-    """What a caller may see of a run between two steps: a `Look`."""
-
-    def __init__(self, run: _Run) -> None:
-        self._run = run
-
-    @property
-    def fits(self) -> int:
-        return self._run.fits
-
-    def cloud(self) -> GrownCloud:
-        points = self._run.normalisation.to_world(self._run.samples.cpu().numpy())
-        births = self._run.births
-        return GrownCloud(points, np.repeat(np.arange(len(births)), births))
-
-    def mesh(self, resolution: int) -> CoarseMesh | None:
-        run = self._run
-        if run.latest is None:
-            return None
-        try:
-            with torch.inference_mode():
-                field = run.unit_field(run.latest)
-                mesh = extract(field, run.samples, ExtractConfig(resolution))
-        except EmptySurface:
-            return None
-        return CoarseMesh(run.normalisation.to_world(mesh.vertices), mesh.faces)
