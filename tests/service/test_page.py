@@ -17,8 +17,6 @@ from service.gate import Gate
 from service.page import load_page
 from service.settings import ServiceSettings
 
-KEY = "a-key-of-enough-characters"
-
 
 @pytest.fixture
 def dist(tmp_path: Path) -> Path:
@@ -58,12 +56,12 @@ class Site:
 
 @pytest.fixture
 def site(dist: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
-    """The page behind the gate of a service that wants a key, under a path prefix."""
+    """The page behind the gate, under a path prefix."""
     monkeypatch.setattr(page, "_page", lambda: load_page(dist))
     app, outside = FastAPI(openapi_url=None, redirect_slashes=False), FastAPI(openapi_url=None)
     problems.install(app)
     app.include_router(page.router)
-    app.add_middleware(Gate, settings=ServiceSettings(key=KEY))
+    app.add_middleware(Gate, settings=ServiceSettings(allowed_hosts=("robot.local",)))
     outside.mount("/tools/udflow", app)
     return Site(outside)
 
@@ -118,9 +116,19 @@ def test_nothing_may_be_loaded_from_elsewhere(site: Site) -> None:
     assert "http" not in policy
 
 
-def test_only_the_page_is_open_where_a_key_is_needed(site: Site) -> None:
-    assert site.get("/assets/main-1a2b.js").status_code == 200
-    assert site.get("/v1/jobs").status_code == 401
+@pytest.mark.parametrize(
+    ("path", "is_open"),
+    [
+        ("/", True),
+        ("/favicon.svg", True),
+        ("/assets/main-1a2b.js", True),
+        ("/v1/jobs", False),
+        ("/openapi.json", False),
+        ("/assetsx", False),
+    ],
+)
+def test_only_the_page_is_open_where_a_key_is_needed(path: str, is_open: bool) -> None:
+    assert page.is_open(path) is is_open
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "main-1a2b.js.br", "..%2Findex.html", "gone.js"])
