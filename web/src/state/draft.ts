@@ -52,6 +52,12 @@ let reader: Worker | null = null;
 const expected = signal<TimeLeft | null>(null);
 let scanId: string | null = null;
 
+// the first preset, as soon as there is a scan and the presets are known: either may come first
+effect(() => {
+  const preset = Object.keys(info.value?.presets ?? {})[0];
+  if (draft.value && !choice.value && preset) choose(preset);
+});
+
 /** What the job will be given besides its preset. */
 export const changes = computed(() => {
   const wanted = choice.value;
@@ -82,8 +88,6 @@ effect(() => {
 export function take(file: Blob, name: string, sample: string | null = null): void {
   forget();
   draft.value = { name, bytes: file.size, file, sample };
-  const preset = Object.keys(info.value?.presets ?? {})[0];
-  if (preset) choose(preset);
   reading.value = true;
   reader = new Worker(new URL("../workers/scan.worker.ts", import.meta.url), { type: "module" });
   reader.onmessage = ({ data }: MessageEvent<ScanAnswer>) => {
