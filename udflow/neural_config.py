@@ -45,7 +45,8 @@ class NetworkConfig(Strict):
     scale: how d grows with time: the paper leaves it to the network ("learned"); "ideal" divides
         the output by the square root of t, as the ideal d = dist / sqrt(t) does.
     start: initial weights: "linear" is what linear layers usually start with, "he" keeps the
-        variance through rectified layers, "sphere" starts with the distance from a sphere.
+        variance through rectified layers, "sphere" starts with a faint distance from
+        a sphere.
     """
 
     layers: int = 8

@@ -16,9 +16,10 @@ from torch import Tensor
 from udflow.errors import BadField
 from udflow.neural_config import NetworkConfig
 
+_FAINT = 0.05  # of the distance from the sphere at the start "sphere"
 _SMALL = 0.1  # of the output's weights at the start "he"
 _ALIVE = 0.05  # the output at the start of a rectified d: below zero nothing would ever move it
-SPHERE_RADIUS = 0.25  # start "sphere": d starts as the distance from a sphere of this radius
+SPHERE_RADIUS = 0.25  # of the start "sphere"
 Weights = dict[str, Tensor]
 
 
@@ -166,7 +167,8 @@ def _start_linear(network: Network, weights: Weights, generator: torch.Generator
 
 def _start_sphere(network: Network, weights: Weights) -> None:
     """Geometric start (Atzmon and Lipman 2020): |x| grows through layers of N(0, 2 / H), and the
-    mean of the last one minus a radius is about the distance from a sphere. Waves start at zero."""
+    mean of the last one minus a radius is about the distance from a sphere. Waves start at zero,
+    and d faint: the sphere only says which side is which, and a d that is too large collapses."""
     width = network.config.width
     for name, weight in weights.items():
         if name.startswith("layer") and weight.ndim == 2:
@@ -175,8 +177,8 @@ def _start_sphere(network: Network, weights: Weights) -> None:
             weight[:, 3:] = 0
             if not name.startswith("layer0."):
                 weight.zero_()
-    weights["output.weight"].fill_(math.sqrt(math.pi / width))
-    weights["output.bias"].fill_(-SPHERE_RADIUS)
+    weights["output.weight"].fill_(_FAINT * math.sqrt(math.pi / width))
+    weights["output.bias"].fill_(-_FAINT * SPHERE_RADIUS)
 
 
 def _start_time(network: Network, weights: Weights, generator: torch.Generator) -> None:

@@ -11,6 +11,7 @@ from udflow.fields.network import Network, Weights
 from udflow.neural_config import Optimiser
 
 _MEAN_DECAY, _SQUARE_DECAY, _EPSILON = 0.9, 0.999, 1e-15  # gradients of squared lengths are tiny
+_NEGLIGIBLE, _NEGLIGIBLE_SQUARE = 1e-30, 1e-36
 _NEWTON_SCHULZ = (3.4445, -4.7750, 2.0315)
 _NEWTON_SCHULZ_STEPS = 5
 _RMS = 0.2  # of an orthogonalised update: about that of Adam's, so that both take one rate
@@ -52,6 +53,15 @@ class Adam:
         torch.div(self.mean, self._direction, out=self._direction)
         self._turn(gradient)
         self._parameters.addcmul_(self._direction, self._rate)
+
+    def settle(self) -> None:
+        """Zeroes what is left of moments whose gradient has stopped, as that of dead units.
+
+        They would decay into denormal numbers and, rounded up again and again, stay there: every
+        later product with them takes many times as long. Call it every few hundred steps.
+        """
+        self.mean.masked_fill_(self.mean.abs() < _NEGLIGIBLE, 0.0)
+        self.square.masked_fill_(self.square < _NEGLIGIBLE_SQUARE, 0.0)
 
     def _turn(self, gradient: Tensor) -> None:
         """Changes the direction before it is taken. Adam's stays as it is."""

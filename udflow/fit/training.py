@@ -118,6 +118,7 @@ class Trainer:
                 since = self.iteration
                 for _ in range(min(REPORT_EVERY, self.iterations - since)):
                     self._advance()
+                self.optimiser.settle()
                 loss = float(self._loss) / (self.iteration - since)
                 self._loss.zero_()
                 if math.isfinite(loss):

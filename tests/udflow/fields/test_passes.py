@@ -169,12 +169,12 @@ def test_starts_depend_on_their_seed_alone_and_are_alive(start: str) -> None:
     assert float((slope.norm(dim=1) > 1e-4).float().mean()) > 0.99
 
 
-def test_the_sphere_start_is_a_distance_from_a_sphere() -> None:
+def test_the_sphere_start_is_a_faint_distance_from_a_sphere() -> None:
     network = Network(NetworkConfig(start="sphere", film=(), width=256))
     flat = started(network, torch.Generator().manual_seed(0))
     timed = TimedNetwork.at(network, network.views(flat), torch.ones(1))
     points = points_of(500).float()
     value, slope = Pass(network, 500, flat).run(timed, points)
     outward = (slope * torch.nn.functional.normalize(points, dim=1)).sum(dim=1)
-    assert float(outward.mean()) == pytest.approx(1, abs=0.25)
+    assert float(outward.mean()) == pytest.approx(0.05, abs=0.0125)
     assert float(torch.corrcoef(torch.stack([value, points.norm(dim=1)]))[0, 1]) > 0.9

@@ -187,6 +187,21 @@ def test_adam_is_adam() -> None:
     torch.testing.assert_close(ours, theirs.detach())
 
 
+def test_moments_of_the_dead_do_not_end_as_denormal_numbers() -> None:
+    parameters = torch.zeros(4)
+    adam, gradient = Adam(parameters), torch.tensor([1e-3, 1e-3, 1e-3, 0.0])
+    for step in range(1, 1_201):
+        adam.prepare(1e-3)
+        adam.step(gradient if step == 1 else gradient * torch.tensor([1.0, 0.0, 0.0, 0.0]))
+        if step % 100 == 0:
+            adam.settle()
+    smallest = torch.finfo(torch.float32).tiny
+    assert float(adam.mean[0]) == pytest.approx(1e-3)
+    for moment in (adam.mean, adam.square):
+        assert bool(((moment == 0) | (moment >= smallest)).all())
+    assert adam.mean[1:].tolist() == [0, 0, 0]
+
+
 def test_muon_moves_hidden_matrices_along_orthogonal_ones_and_the_rest_like_adam() -> None:
     generator = torch.Generator().manual_seed(0)
     start = started(NETWORK, generator)
