@@ -17,9 +17,9 @@ from torch import Tensor
 from udflow.cloud.neighbours import Neighbours, NeighbourTree
 from udflow.cloud.quadrics import LocalQuadrics, fit_chosen, fit_width, heights_over, put
 
-_ROUNDS = 2
-_POOL = 32  # nearest samples among which those of one piece are sought
-_HYPOTHESES = 12  # sites around whose quadrics are tried
+_ROUNDS = 3
+_POOL = 40  # nearest samples among which those of one piece are sought
+_HYPOTHESES = 16  # sites around whose quadrics are tried
 _CLOSE = 17  # nearest samples, the site with them, by which a quadric is judged
 _WHOLE = 0.75  # share of them on the quadric that lets it pass
 _FEWEST = 8  # samples of a piece that a quadric is fitted to

@@ -84,20 +84,32 @@ class SplineLevel:
         grid: where it is defined.
         coefficients: (n,) one per node, in units of spacing squared.
         rows: (c, 27) the coefficients gathered per cell, for fast evaluation.
+        faithful: (c,) bool, cells in which the energy follows its trajectories. A smooth energy
+            cannot follow them at creases and between sheets closer than its cells.
     """
 
     grid: SplineGrid
     coefficients: Tensor
     rows: Tensor
+    faithful: Tensor
 
     @classmethod
-    def of(cls, grid: SplineGrid, coefficients: Tensor) -> SplineLevel:
-        """The level with the given node coefficients."""
-        return cls(grid, coefficients, coefficients[grid.nodes_of_cells()])
+    def of(
+        cls, grid: SplineGrid, coefficients: Tensor, faithful: Tensor | None = None
+    ) -> SplineLevel:
+        """The level with the given node coefficients, faithful everywhere unless told."""
+        if faithful is None:
+            faithful = torch.ones(len(grid.cells), dtype=torch.bool, device=coefficients.device)
+        return cls(grid, coefficients, coefficients[grid.nodes_of_cells()], faithful)
 
     def covers(self, points: Tensor) -> Tensor:
         """(n,) bool, whether points lie in the band."""
         return self._cell(points)[0] >= 0
+
+    def follows(self, points: Tensor) -> Tensor:
+        """(n,) bool, whether points lie in the band, in faithful cells."""
+        cell = self._cell(points)[0]
+        return (cell >= 0) & self.faithful[cell.clamp_min(0)]
 
     def gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """grad E of (n, 3) points, a length vector (the displacement x - foot), and (n,) bool
@@ -215,12 +227,17 @@ class SplineField:
                 velocity = self.velocity(x[moving], self.schedule.time(k))
                 x[moving] = x[moving] - self.schedule.step(k) * velocity
         for _ in range(_REFINEMENTS):
-            x = self.refine(x)
+            x = self._last_step(x)
         return x
 
     def refine(self, points: Tensor) -> Tensor:
+        """Points (n, 3) near the surface to their feet, where the finest level can tell."""
+        follows = self.levels[0].follows(points) | ~self.levels[0].covers(points)
+        return torch.where(follows[:, None], self._last_step(points), points)
+
+    def _last_step(self, points: Tensor) -> Tensor:
         """The last step of equation (4), from t_1 to 0: x - dt_1 v(x, t_1) = x - grad E(x), along
-        the normal only. (n, 3) points near the surface to their feet."""
+        the normal only."""
         return points - self._finest(SplineLevel.normal_gradient, points, 0)
 
     def _start(self, points: Tensor) -> Tensor:
@@ -238,9 +255,11 @@ class SplineField:
         return self.levels[-1].covers(points)
 
     def trusts(self, points: Tensor, feet: Tensor, sites: NeighbourTree) -> Tensor:
-        """(n,) bool, whether (n, 3) points with these feet lie within a finest cell of them."""
+        """(n,) bool, whether (n, 3) points with these feet lie within a finest cell of them, both
+        where the finest level is faithful."""
         limit = _NEAR * self.levels[0].grid.spacing
-        return self.levels[0].covers(points) & ((feet - points).norm(dim=1) < limit)
+        near = (feet - points).norm(dim=1) < limit
+        return near & self.levels[0].follows(points) & self.levels[0].follows(feet)
 
     @property
     def half_edge(self) -> float:

@@ -27,7 +27,8 @@ from udflow.fields.unsigned import UnsignedDistanceField
 from udflow.flow.schedule import TimeSchedule
 
 FORMAT = "udflow-spline-field"
-VERSION = 1
+VERSION = 2
+_LEVEL = ("coefficients", "cells", "faithful")
 _QUADRICS = {  # name -> trailing shape
     "origin": (3,),
     "frame": (3, 3),
@@ -69,6 +70,7 @@ def _spline_parts(spline: SplineField) -> tuple[dict[str, Tensor], dict[str, Any
     for i, level in enumerate(spline.levels):
         grid = level.grid
         tensors[f"level{i}.coefficients"] = level.coefficients.cpu().contiguous()
+        tensors[f"level{i}.faithful"] = level.faithful.cpu().contiguous()
         tensors[f"level{i}.cells"] = grid.cells.coordinates.to(torch.int16).cpu().contiguous()
         levels.append(
             {"origin": grid.origin.tolist(), "spacing": grid.spacing, "shape": grid.cells.shape}
@@ -119,7 +121,7 @@ def _fitted(header: dict[str, Any], tensor: Callable[[str], Tensor]) -> FittedFi
     if header["format"] == TRAINED_FORMAT:
         return trained_field(header, tensor("parameters"))
     levels = tuple(
-        _level(described, tensor(f"level{i}.coefficients"), tensor(f"level{i}.cells"))
+        _level(described, *(tensor(f"level{i}.{name}") for name in _LEVEL))
         for i, described in enumerate(header["levels"])
     )
     return SplineField(TimeSchedule(int(header["steps"])), levels)
@@ -154,7 +156,9 @@ def _surface(tensors: dict[str, Tensor]) -> QuadricSurface:
     return QuadricSurface.of(LocalQuadrics(**tensors))
 
 
-def _level(described: dict[str, Any], coefficients: Tensor, cells: Tensor) -> SplineLevel:
+def _level(
+    described: dict[str, Any], coefficients: Tensor, cells: Tensor, faithful: Tensor
+) -> SplineLevel:
     nx, ny, nz = (int(n) for n in described["shape"])
     spacing = float(described["spacing"])
     origin = torch.tensor(described["origin"], dtype=torch.float32, device=cells.device)
@@ -168,7 +172,9 @@ def _level(described: dict[str, Any], coefficients: Tensor, cells: Tensor) -> Sp
     grid = SplineGrid(origin, spacing, active, active.dilated(1))
     if not _is_finite_single(coefficients, (len(grid.nodes),)):
         raise BadField("a level of the field has the wrong number of coefficients, or bad ones")
-    return SplineLevel.of(grid, coefficients)
+    if faithful.shape != (len(active),) or faithful.dtype != torch.bool:
+        raise BadField("a level of the field does not say which of its cells are faithful")
+    return SplineLevel.of(grid, coefficients, faithful)
 
 
 def _checked_cells(cells: Tensor, shape: tuple[int, int, int]) -> Tensor:

@@ -7,6 +7,7 @@ product with the normal matrix is two dense multiplications between a gather and
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -20,19 +21,29 @@ _TOLERANCE = 1e-3
 _EASY = 1e-2  # smoothness up to which
 _ITERATIONS = 10  # are enough: more change the field by less than its error
 _MOST_ITERATIONS = 100  # beyond it they grow like its root, up to here
+_SLACK = 0.04  # cells by which slopes may miss their displacement
+_MIDDLE = 13  # of the 27 nodes of a cell, the one at its centre
 _THIRD_DIFFERENCE = (-1.0, 3.0, -3.0, 1.0)
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A solved level and the mean squared residual of its slopes, in units of length squared."""
+    """A solved level.
+
+    Attributes:
+        level: the level.
+        residual: mean squared residual of its slopes, in units of length squared.
+        iterations: of the solver.
+    """
 
     level: SplineLevel
     residual: float
     iterations: int
 
 
-def solve_level(grid: SplineGrid, displacement: Tensor, smoothness: float) -> LinearFit:
+def solve_level(
+    grid: SplineGrid, displacement: Tensor, smoothness: float, noise: float = math.inf
+) -> LinearFit:
     """The energy on a grid whose slopes point away from the surface.
 
     Minimises sum ||grad E(x) - (x - foot)||^2 + w (E(x) - |x - foot|^2 / 2)^2 over the centres x
@@ -43,6 +54,8 @@ def solve_level(grid: SplineGrid, displacement: Tensor, smoothness: float) -> Li
         grid: cells and nodes.
         displacement: x - foot at the centres of the cells, (c, 3), unit frame.
         smoothness: weight of the third differences, > 0.
+        noise: of the displacements, unit frame; cells that miss theirs, on average with those
+            around, by more than the noise and a small share of a cell are not faithful.
 
     Raises:
         Diverged: the targets or the solution are not finite.
@@ -56,8 +69,11 @@ def solve_level(grid: SplineGrid, displacement: Tensor, smoothness: float) -> Li
     coefficients, iterations = _conjugate_gradients(system, system.start(), _limit(smoothness))
     if not bool(torch.isfinite(coefficients).all()):
         raise Diverged("the linear solve did not stay finite; choose a larger spline.smoothness")
-    level = SplineLevel(grid, coefficients, coefficients[system.cell_nodes])
-    return LinearFit(level, system.residual(coefficients) * grid.spacing**2, iterations)
+    slack = system.slack(coefficients)
+    faithful = system.around(slack.square()).sqrt() <= max(noise / grid.spacing, _SLACK)
+    level = SplineLevel(grid, coefficients, coefficients[system.cell_nodes], faithful)
+    residual = float(slack.square().mean()) * grid.spacing**2
+    return LinearFit(level, residual, iterations)
 
 
 @dataclass(frozen=True)
@@ -119,10 +135,17 @@ class _NormalSystem:
         total = self.scattered(energy.expand(-1, 27))
         return total / self.scattered(torch.ones_like(energy).expand(-1, 27)).clamp_min(1)
 
-    def residual(self, coefficients: Tensor) -> float:
-        """Mean over queries of the squared norm of the slope residual, in cells squared."""
+    def slack(self, coefficients: Tensor) -> Tensor:
+        """(c,) norm of the slope residual at every query, in cells."""
         slopes = coefficients[self.cell_nodes] @ self.design[:3].T
-        return 3 * float((slopes - self.observed[:, :3]).square().mean())
+        return (slopes - self.observed[:, :3]).norm(dim=1)
+
+    def around(self, per_cell: Tensor) -> Tensor:
+        """Mean of (c,) values over each cell and those that touch it."""
+        total = self.scattered(per_cell[:, None].expand(-1, 27))
+        count = self.scattered(torch.ones_like(per_cell)[:, None].expand(-1, 27))
+        middle = self.cell_nodes[:, _MIDDLE]
+        return total[middle] / count[middle]
 
     def scattered(self, per_cell: Tensor) -> Tensor:
         """Sum of (c, 27) contributions per node."""

@@ -62,7 +62,7 @@ def fit_spline(surface: SampledSurface, config: Config) -> Generator[int, None, 
     loss = 0.0
     for k in range(schedule.steps, 0, -1):
         grid, displacement = trajectories(surface, schedule, k, finest)
-        fit = solve_level(grid, displacement, smoothness(config.spline))
+        fit = solve_level(grid, displacement, smoothness(config.spline), surface.error)
         levels.insert(0, fit.level)
         loss += fit.residual / schedule.time(k) ** 2 / schedule.steps
         yield len(levels)

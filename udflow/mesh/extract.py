@@ -16,6 +16,7 @@ from udflow.mesh.cleaning import without_dust
 from udflow.mesh.crossings import find_crossings
 from udflow.mesh.draft import Draft
 from udflow.mesh.dual import DualSurface, dual_surface, triangles
+from udflow.mesh.handles import without_small_handles
 from udflow.mesh.holes import closed
 from udflow.mesh.lattice import Lattice
 from udflow.mesh.manifold import separated
@@ -24,12 +25,14 @@ from udflow.mesh.mesh import Mesh
 from udflow.mesh.orientation import oriented
 from udflow.mesh.rims import faired
 from udflow.mesh.support import SampleSet
-from udflow.mesh.topology import edges_of
+from udflow.mesh.topology import edges_of, parts
 from udflow.mesh.trim import trimmed
 
 FAIRING = 2.0  # spacings: rims waver by less than this
 BAND_WIDTH = 1.1  # voxels: both ends of a crossed edge lie within 1
-LONGEST_WAY = 0.75  # voxels from the mean crossing to its foot: farther, it was no crossing
+LONGEST_WAY = 0.75  # voxels from the mean crossing to its foot: farther, it is astray
+LARGEST_MISS = 24  # vertices astray together that may be slips; more are a false sheet
+EASING = 3  # steps to the mean of the neighbours
 
 
 def extract(field: ProjectiveField, samples: Tensor, config: ExtractConfig) -> Mesh:
@@ -84,17 +87,55 @@ def _by_cells(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh
 
 
 def _on_surface(field: ProjectiveField, surface: DualSurface, voxel: float) -> Draft:
-    """Oriented triangles whose vertices are moved onto the surface, without false sheets: parts
-    whose vertices were nowhere near it."""
+    """Oriented triangles whose vertices are moved onto the surface, without false sheets: patches
+    of vertices that are nowhere near it."""
     feet = project_in_chunks(field, surface.vertices)
     astray = torch.linalg.vector_norm(feet - surface.vertices, dim=1) > LONGEST_WAY * voxel
-    kept = surface.quads[~astray[surface.quads].any(dim=1)].cpu().numpy()
+    false = _in_large_patch(surface.quads, astray)
+    feet = _eased(field, feet, surface.quads, astray & ~false)
+    kept = surface.quads[~false[surface.quads].any(dim=1)].cpu().numpy()
     vertices = feet.double().cpu().numpy()
     edges = edges_of(kept)
     loose = np.zeros(len(vertices), dtype=bool)
     loose[edges.ends[edges.count != 2]] = True
     quads = torch.from_numpy(oriented(vertices, kept, edges)).to(feet.device)
     return Draft(vertices, triangles(feet, quads).cpu().numpy(), loose).compacted()
+
+
+def _in_large_patch(quads: Tensor, chosen: Tensor) -> Tensor:
+    """(v,) those of the chosen vertices that hang together in patches of many."""
+    sides = _sides(quads)
+    inside = sides[chosen[sides].all(dim=1)].cpu().numpy()
+    label = parts(inside, len(chosen))
+    size = np.bincount(label, chosen.cpu().numpy())
+    return chosen & torch.from_numpy(size[label] > LARGEST_MISS).to(chosen.device)
+
+
+def _eased(field: ProjectiveField, feet: Tensor, quads: Tensor, chosen: Tensor) -> Tensor:
+    """(v, 3) feet with the chosen ones replaced by those of the mean of their neighbours.
+
+    A few vertices astray in a sheet that is right are slips of the field at a crease; without them
+    the sheet would have a hole.
+    """
+    if not bool(chosen.any()):
+        return feet
+    sides = _sides(quads)
+    sides = torch.cat([sides, sides.flip(1)])
+    sides = sides[chosen[sides[:, 0]]]
+    place = torch.cumsum(chosen, dim=0)[sides[:, 0]] - 1
+    moved = feet[chosen]
+    degree = torch.bincount(place, minlength=len(moved)).clamp_min(1)[:, None]
+    feet = feet.clone()
+    for _ in range(EASING):
+        moved = torch.zeros_like(moved).index_add_(0, place, feet[sides[:, 1]]) / degree
+        feet[chosen] = moved
+    feet[chosen] = project_in_chunks(field, moved)
+    return feet
+
+
+def _sides(quads: Tensor) -> Tensor:
+    """(4q, 2) sides of quads, those inside a sheet twice."""
+    return torch.stack([quads, quads.roll(-1, dims=1)], dim=2).reshape(-1, 2)
 
 
 def _finished(field: ProjectiveField, draft: Draft, samples: Tensor, voxel: float) -> Draft:
@@ -107,7 +148,8 @@ def _finished(field: ProjectiveField, draft: Draft, samples: Tensor, voxel: floa
     data = SampleSet.of(samples.double().cpu().numpy(), voxel)
     draft = trimmed(draft, data, voxel, project)
     draft = without_dust(draft, data, voxel)
-    draft = closed(separated(draft), data, project)
+    draft = without_small_handles(separated(draft))
+    draft = closed(draft, data, project)
     return faired(draft, FAIRING * data.spacing, voxel, project)
 
 

@@ -20,8 +20,8 @@ from udflow.mesh.topology import parts
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 REACH = 3  # vertices around an odd face that take part
-ITERATIONS = 120
-PATIENCE = 30  # iterations without fewer odd faces before giving up: a true border stays odd
+ITERATIONS = 60
+PATIENCE = 12  # iterations without fewer odd faces before giving up: a true border stays odd
 LIMIT = 12.0  # most that one face can say
 DAMPING = 0.2
 SUCCESS = 0.5  # share of its odd faces that a region may keep

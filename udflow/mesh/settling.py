@@ -6,19 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from udflow.fields.interface import ProjectiveField
 from udflow.mesh.mesh import Mesh
+from udflow.mesh.topology import edges_of
 
 _TOLERANCE = 0.1  # voxels off the surface that nobody sees
 _STEPS = 3
+_FRONTS = 4  # rounds in which vertices that came to rest hold further ones
+_SHARES = (0.5, 0.2, 0.05)  # of the way to a neighbour that are left to a vertex that never settles
 
 
 def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.device) -> Mesh:
     """The mesh with vertices that lie off the surface moved to their feet.
 
     Closing small holes and smoothing rims leave vertices beside the surface; a field that is asked
-    at a vertex should answer that it is there.
+    at a vertex should answer that it is there. Where feet jump to and fro, as at the end of a
+    crease, a vertex has no foot to rest on; it is drawn to a neighbour that has one.
 
     Args:
         mesh: in the unit frame.
@@ -26,7 +32,8 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
         voxel: edge of a voxel, unit frame.
         device: of the field.
     """
-    vertices = torch.from_numpy(mesh.vertices.astype(np.float32)).to(device)
+    before = torch.from_numpy(mesh.vertices.astype(np.float32)).to(device)
+    vertices = before.clone()
     moving = torch.arange(len(vertices), device=device)
     for _ in range(_STEPS):
         feet = field.project(vertices[moving])
@@ -35,7 +42,46 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
         if len(moving) == 0:
             break
         vertices[moving] = feet[off]
+    moving = _unsettled(field, vertices, moving, voxel)
+    for _ in range(_FRONTS):
+        if len(moving) == 0:
+            break
+        _draw_to_neighbours(field, vertices, moving, mesh.faces, voxel)
+        moving = _unsettled(field, vertices, moving, voxel)
     result = mesh.vertices.copy()
-    changed = (vertices.cpu().numpy() != mesh.vertices.astype(np.float32)).any(axis=1)
+    changed = (vertices != before).any(dim=1).cpu().numpy()
     result[changed] = vertices.cpu().numpy()[changed]
     return replace(mesh, vertices=result)
+
+
+def _unsettled(field: ProjectiveField, vertices: Tensor, chosen: Tensor, voxel: float) -> Tensor:
+    """Those of the chosen vertices that are farther from their feet than the tolerance."""
+    if len(chosen) == 0:
+        return chosen
+    off = (field.project(vertices[chosen]) - vertices[chosen]).norm(dim=1)
+    return chosen[off > _TOLERANCE * voxel]
+
+
+def _draw_to_neighbours(
+    field: ProjectiveField,
+    vertices: Tensor,
+    moving: Tensor,
+    faces: NDArray[np.int64],
+    voxel: float,
+) -> None:
+    """Moves unsettled vertices, in place, towards the nearest of their settled neighbours."""
+    ends = torch.from_numpy(edges_of(faces).ends).to(vertices.device)
+    restless = torch.zeros(len(vertices), dtype=torch.bool, device=vertices.device)
+    restless[moving] = True
+    pairs = torch.cat([ends, ends.flip(1)])
+    pairs = pairs[restless[pairs[:, 0]] & ~restless[pairs[:, 1]]]
+    length = (vertices[pairs[:, 0]] - vertices[pairs[:, 1]]).norm(dim=1)
+    pairs = pairs[torch.argsort(length, descending=True)]
+    anchor = torch.full((len(vertices),), -1, device=vertices.device)
+    anchor[pairs[:, 0]] = pairs[:, 1]  # the last one written is the nearest
+    moving = moving[anchor[moving] >= 0]
+    start = vertices.clone()
+    for share in _SHARES:
+        held = start[anchor[moving]]
+        vertices[moving] = held + share * (start[moving] - held)
+        moving = _unsettled(field, vertices, moving, voxel)

@@ -137,7 +137,7 @@ def set_in_header(**values: Any) -> Callable[[Header], None]:
 
 
 HOSTILE_HEADERS: list[tuple[str, Callable[[Header], None], str]] = [
-    ("another version", set_in_header(version=2), "has version 2, this release reads 1; fit it"),
+    ("another version", set_in_header(version=3), "has version 3, this release reads 2; fit it"),
     ("no version", set_in_header(version=None), "has version None"),
     ("another format", set_in_header(format="udflow-mesh"), "holds no udflow field"),
     ("more steps than levels", set_in_header(steps=6), "levels do not match"),
@@ -202,6 +202,8 @@ HOSTILE_TENSORS: list[tuple[str, Callable[[Tensor], Tensor]]] = [
     ("level0.coefficients", with_nan),
     ("level0.coefficients", torch.Tensor.double),
     ("level0.coefficients", torch.Tensor.int),
+    ("level0.faithful", shortened),
+    ("level0.faithful", torch.Tensor.int),
     ("level1.cells", shortened),
     ("level1.cells", torch.Tensor.flatten),
     ("level1.cells", torch.Tensor.neg),

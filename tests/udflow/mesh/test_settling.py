@@ -1,0 +1,57 @@
+"""Vertices end on the surface of the field, also where feet jump to and fro."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from udflow.mesh.mesh import Mesh
+from udflow.mesh.settling import settled
+
+VOXEL = 0.05
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The plane z = 0; near the axis feet never come to rest."""
+
+    restless: float = 0.0
+
+    def project(self, points: Tensor) -> Tensor:
+        feet = points * torch.tensor([1.0, 1.0, 0.0])
+        near = points[:, :2].norm(dim=1) < self.restless
+        feet[near, 2] = torch.where(points[near, 2] > 0, -VOXEL, VOXEL)
+        return feet
+
+
+def fan(height: float) -> Mesh:
+    """Six triangles around a hub at a height."""
+    angle = np.arange(6) * np.pi / 3
+    ring = VOXEL * np.stack([np.cos(angle), np.sin(angle), np.zeros(6)], axis=1)
+    vertices = np.concatenate([[[0.0, 0.0, height]], ring])
+    faces = np.stack([np.zeros(6), 1 + np.arange(6), 1 + (np.arange(6) + 1) % 6], axis=1)
+    return Mesh(vertices, faces.astype(np.int64))
+
+
+def test_a_vertex_off_the_surface_goes_to_its_foot() -> None:
+    mesh = fan(0.5 * VOXEL)
+    result = settled(mesh, Floor(), VOXEL, torch.device("cpu"))
+    np.testing.assert_allclose(result.vertices[0], 0.0, atol=1e-7)
+    np.testing.assert_array_equal(result.vertices[1:], mesh.vertices[1:])
+
+
+def test_what_nobody_sees_is_left_alone() -> None:
+    mesh = fan(0.05 * VOXEL)
+    result = settled(mesh, Floor(), VOXEL, torch.device("cpu"))
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
+
+
+def test_a_vertex_without_a_foot_to_rest_on_is_drawn_to_a_neighbour_that_has_one() -> None:
+    field = Floor(restless=0.4 * VOXEL)
+    result = settled(fan(0.5 * VOXEL), field, VOXEL, torch.device("cpu"))
+    hub = torch.from_numpy(result.vertices[:1]).float()
+    assert float((field.project(hub) - hub).norm()) <= 0.1 * VOXEL
+    assert np.linalg.norm(result.vertices[0]) < 1.1 * VOXEL
