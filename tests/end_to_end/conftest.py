@@ -17,15 +17,15 @@ from user_steps import KEY, Finished, sphere, submit, wait
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data folder of the running service."""
     return tmp_path_factory.mktemp("up") / "data"
 
 
 @pytest.fixture(scope="session")
-def url(data: Path) -> Iterator[str]:
+def url(data_folder: Path) -> Iterator[str]:
     """The address of a running service."""
-    with running(data) as address:
+    with running(data_folder) as address:
         yield address
 
 

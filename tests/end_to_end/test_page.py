@@ -85,8 +85,8 @@ def test_a_reload_and_a_second_tab_show_the_same(walk: Walk) -> None:
     assert walk("reload")["round"] >= 2
 
 
-def test_an_api_that_comes_back_finds_its_watchers(walk: Walk, data: Path) -> None:
-    assert walk("restart", api=api_process(data))["round"] >= 2
+def test_an_api_that_comes_back_finds_its_watchers(walk: Walk, data_folder: Path) -> None:
+    assert walk("restart", api=api_process(data_folder))["round"] >= 2
 
 
 def test_trouble_is_told_in_words(walk: Walk) -> None:
@@ -104,9 +104,9 @@ def test_many_frames_are_drawn_in_the_same_memory(walk: Walk, shown_job: str) ->
 
 
 @pytest.fixture
-def shown_job(data: Path, url: str) -> Iterator[str]:
+def shown_job(data_folder: Path, url: str) -> Iterator[str]:
     """A running job of which this test is the worker: a frame whenever there was time for it."""
-    settings = Settings(data=data, redis_url=EmbeddedRedis(data).url)
+    settings = Settings(data=data_folder, redis_url=EmbeddedRedis(data_folder).url)
     scan = httpx.post(f"{url}/v1/samples/vase").json()
     with settings.connect() as connection:
         records = JobRecords(connection)
