@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 from pydantic.json_schema import WithJsonSchema
 
 from service.schemas import THREE_NUMBERS, MetadataKey, MetadataValue, OutputName, Strict
 from udflow.config import MAX_RESOLUTION
 
-Point = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], WithJsonSchema(THREE_NUMBERS)]
+Number = Annotated[FiniteFloat, Field(strict=True)]
+# not strict itself: JSON knows no tuples
+Point = Annotated[tuple[Number, Number, Number], Field(strict=False), WithJsonSchema(THREE_NUMBERS)]
 MAX_SLICE = 2048
 
 
@@ -20,10 +22,8 @@ class Cancel(Strict):
     keep_partial: bool = False
 
 
-class Box(BaseModel):
+class Box(Strict):
     """Two opposite corners in the units and frame of the scan."""
-
-    model_config = ConfigDict(extra="forbid")
 
     low: Point
     high: Point
@@ -35,17 +35,16 @@ class Box(BaseModel):
         return self
 
 
-class Extraction(BaseModel):
+class Extraction(Strict):
     """Another mesh from the stored field; what is not given is as in the job."""
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "examples": [{"resolution": 512, "box": {"low": [0, 0, 0], "high": [4, 3, 2.5]}}]
         },
     )
 
-    resolution: Annotated[int, Field(ge=16, le=MAX_RESOLUTION, strict=True)] | None = None
+    resolution: Annotated[int, Field(ge=16, le=MAX_RESOLUTION)] | None = None
     extractor: Literal["edges", "cap"] | None = None
     box: Box | None = None
     outputs: list[OutputName] = Field(default_factory=list, max_length=8)
@@ -53,7 +52,7 @@ class Extraction(BaseModel):
     ttl_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
 
 
-class Slice(BaseModel):
+class Slice(Strict):
     """A plane through the field, sampled at the centres of square cells.
 
     The plane is given by `axis` and the coordinate `at`, or by `origin`, `normal` and, if it
@@ -61,7 +60,6 @@ class Slice(BaseModel):
     """
 
     model_config = ConfigDict(
-        extra="forbid",
         json_schema_extra={
             "examples": [{"axis": "z", "at": 1.2, "resolution": 512, "format": "png"}]
         },

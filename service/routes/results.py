@@ -27,14 +27,19 @@ router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
 
 def _answers(*media_types: str) -> Answers:
-    schema = {"type": "string", "format": "binary"}
-    content = {media_type: {"schema": schema} for media_type in media_types}
+    content = {media_type: {"schema": _schema(media_type)} for media_type in media_types}
     found: Answers = {
         200: {"content": content, "description": "The file"},
         206: {"content": content, "description": "The asked range of the file"},
         304: {"description": "The file is the one of If-None-Match"},
     }
     return found | problems(404, 409, 410, 416, 503)
+
+
+def _schema(media_type: str) -> dict[str, str]:
+    if media_type == MEDIA_TYPES["json"]:
+        return {"type": "object"}
+    return {"type": "string", "format": "binary"}
 
 
 @router.head("/mesh", include_in_schema=False)

@@ -111,6 +111,7 @@ def test_extract_again_keeps_what_is_not_asked(done: str, client: httpx.Client) 
         ({"extractor": "best"}, "#/extractor"),
         ({"box": {"low": [0, 0, 0], "high": [1, 0, 1]}}, "#/box"),
         ({"box": {"low": [0, 0, 0]}}, "#/box/high"),
+        ({"box": {"low": [False, 0, 0], "high": [1, 1, 1]}}, "#/box/low/0"),
         ({"outputs": ["mesh.step"]}, "#/outputs/0"),
         ({"ttl_s": 1e9}, "#/ttl_s"),
         ({"colour": 1}, "#/colour"),
