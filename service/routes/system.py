@@ -18,7 +18,7 @@ from udflow import __version__
 from udflow.config import MAX_RESOLUTION, presets, to_dict
 
 INPUT_FORMATS = (
-    *("ply", "xyz", "txt", "csv", "pts", "npy", "npz", "pcd", "las", "laz"),
+    *("ply", "xyz", "txt", "csv", "pts", "npy", "npz", "pcd", "las", "laz", "e57"),
     *("obj", "stl", "off", "glb"),
 )
 OUTPUT_FORMATS = ("ply", "glb", "obj", "stl")

@@ -191,7 +191,9 @@ def _parameters(command: argparse.ArgumentParser) -> None:
 
 
 def _scan(command: argparse.ArgumentParser) -> None:
-    command.add_argument("scan", help="point cloud: PLY PCD LAS LAZ XYZ CSV NPY NPZ OBJ STL ...")
+    command.add_argument(
+        "scan", help="point cloud: PLY PCD LAS LAZ E57 XYZ CSV NPY NPZ OBJ STL ..."
+    )
 
 
 def _seed(command: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from udflow.cloud.formats.e57 import read_e57
 from udflow.cloud.formats.glb import read_glb
 from udflow.cloud.formats.las import read_las
 from udflow.cloud.formats.npy import read_npy, read_npz
@@ -35,6 +36,7 @@ _READERS: dict[str, Callable[[Source, BinaryIO], PointCloud]] = {
     "ply": lambda source, _: read_ply(source),
     "pcd": lambda source, _: read_pcd(source),
     "las": read_las,
+    "e57": lambda source, _: read_e57(source),
     "text": lambda source, _: read_text(source),
     "npy": lambda source, _: read_npy(source),
     "npz": read_npz,
@@ -49,7 +51,8 @@ _READERS: dict[str, Callable[[Source, BinaryIO], PointCloud]] = {
 def read_cloud(path: Path) -> PointCloud:
     """The point cloud in a file, in its own units, frame and double precision.
 
-    Reads PLY, PCD, LAS, LAZ, XYZ/TXT/CSV/PTS, NPY, NPZ, and the vertices of OBJ, STL, OFF and GLB.
+    Reads PLY, PCD, LAS, LAZ, E57, XYZ/TXT/CSV/PTS, NPY, NPZ, and the vertices of OBJ, STL, OFF and
+    GLB.
     The format is told by the content, whatever the file is called. Points with undefined or
     infinite coordinates are dropped and counted.
 

@@ -9,12 +9,13 @@ from udflow.cloud.formats.text import looks_like_table
 from udflow.errors import UnknownFormat
 
 SNIFFED_BYTES = 64 * 1024
-READABLE = "PLY, PCD, LAS, LAZ, XYZ, TXT, CSV, PTS, NPY, NPZ, OBJ, STL, OFF and GLB"
+READABLE = "PLY, PCD, LAS, LAZ, E57, XYZ, TXT, CSV, PTS, NPY, NPZ, OBJ, STL, OFF and GLB"
 
 _MAGIC = {
     b"ply\n": "ply",
     b"ply\r": "ply",
     b"LASF": "las",
+    b"ASTM-E57": "e57",
     b"glTF": "glb",
     b"\x93NUMPY": "npy",
 }
@@ -34,7 +35,6 @@ _FOREIGN = {
     b"MM\0*": "a TIFF image",
     b"RIFF": "an image, sound or film",
     b"%PDF": "a PDF document",
-    b"ASTM-E57": "an E57 file, which is not read yet",
     b"Kaydara FBX": "an FBX file, which is not read",
     b"\x89HDF": "an HDF5 file, which is not read",
     b"\x80\x02": "a Python pickle, which is never read",
@@ -48,7 +48,7 @@ _TEXT_FOREIGN = {"<": "an HTML or XML page", "{": "a JSON or glTF text file; exp
 
 
 def sniff(head: bytes, size: int) -> str:
-    """The format of a file: ply, pcd, las, text, npy, npz, obj, stl, stl-ascii, off or glb.
+    """The format of a file: ply, pcd, las, e57, text, npy, npz, obj, stl, stl-ascii, off or glb.
 
     Args:
         head: the first SNIFFED_BYTES bytes, or all there are.
