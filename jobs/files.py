@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from udflow import faults
+
 TEMPORARY = ".part-"  # how names of unfinished files begin
 
 
@@ -59,7 +61,9 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         _sync(temporary)
+        faults.hit("file.written")
         os.replace(temporary, path)
+        faults.hit("file.renamed")
     finally:
         temporary.unlink(missing_ok=True)
     _sync(path.parent)

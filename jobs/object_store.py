@@ -10,6 +10,7 @@ afterwards and use it again.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +26,9 @@ from jobs.errors import BadSetting
 from jobs.files import make_folder, replacing
 from jobs.ids import is_id, new_id, require_id
 from jobs.spec import Artifact, JobRecord, JobSpec
-from jobs.store import AddedScan, FileStore, Upload
+from jobs.store import CHECKPOINT, AddedScan, FileStore, Upload
+
+log = logging.getLogger("store")
 
 _LINK_LIFE = timedelta(minutes=15)
 _MEDIA_TYPES = {
@@ -167,6 +170,28 @@ class ObjectStore(FileStore):
             if name != f"a{attempt}":
                 self._delete_all(f"jobs/{job_id}/{name}")
 
+    def checkpoints(self, job_id: str, before: int) -> list[int]:
+        """As `FileStore.checkpoints`; brings those that are in the bucket."""
+        folder = self._job_folder(job_id)
+        for page in obstore.list(self._bucket, f"jobs/{job_id}"):
+            for path in (Path(one["path"]) for one in page):
+                if path.name.startswith(CHECKPOINT):
+                    self._fetch(f"jobs/{job_id}/{path.name}", folder / path.name)
+        return super().checkpoints(job_id, before)
+
+    def share_checkpoint(self, job_id: str, attempt: int) -> None:
+        """Puts it into the bucket; without the bucket the fit goes on."""
+        path = self.checkpoint_path(job_id, attempt)
+        try:
+            obstore.put(self._bucket, f"jobs/{job_id}/{path.name}", path)
+        except (obstore.exceptions.BaseError, OSError) as error:
+            log.warning("the checkpoint of %s stays on this machine: %s", job_id, error)
+
+    def clear_checkpoints(self, job_id: str) -> None:
+        """As `FileStore.clear_checkpoints`."""
+        super().clear_checkpoints(job_id)
+        self._delete_all(f"jobs/{job_id}", CHECKPOINT)
+
     def delete_job(self, job_id: str) -> bool:
         """As `FileStore.delete_job`."""
         super().delete_job(job_id)
@@ -217,8 +242,9 @@ class ObjectStore(FileStore):
         found = obstore.list_with_delimiter(self._bucket, name)
         return sorted(prefix.rstrip("/").rpartition("/")[2] for prefix in found["common_prefixes"])
 
-    def _delete_all(self, name: str) -> bool:
-        paths = [one["path"] for page in obstore.list(self._bucket, name) for one in page]
+    def _delete_all(self, name: str, beginning: str = "") -> bool:
+        found = [one["path"] for page in obstore.list(self._bucket, name) for one in page]
+        paths = [path for path in found if path.rpartition("/")[2].startswith(beginning)]
         if paths:
             obstore.delete(self._bucket, paths)
         return bool(paths)

@@ -27,6 +27,7 @@ class Settings:
     lease_s: a worker that has not renewed for so long has lost its job.
     cancel_grace_s: a canceled job that has not stopped by itself is killed after this;
         partial_grace_s: the same when it is to keep a mesh of what is fitted so far.
+    checkpoint_s: how often a field in training is saved, for another worker to go on with.
     stall_s: a fit without any progress for so long counts as hung.
     job_timeout_s: longest run of one attempt; queue_ttl_s: longest wait in the queue.
     upload_life_s: how long a resumable upload waits for its next bytes; scan_life_s: how long a
@@ -44,6 +45,7 @@ class Settings:
     cancel_grace_s: float = 8.0
     partial_grace_s: float = 180.0
     reaper_period_s: float = 5.0
+    checkpoint_s: float = 10.0
     stall_s: float = 300.0
     job_timeout_s: float = 4 * 3600.0
     queue_ttl_s: float = 24 * 3600.0
@@ -67,6 +69,7 @@ class Settings:
                 "cancel_grace_s",
                 "partial_grace_s",
                 "reaper_period_s",
+                "checkpoint_s",
                 "stall_s",
                 "job_timeout_s",
                 "queue_ttl_s",

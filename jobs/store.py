@@ -7,6 +7,7 @@ temporary name in the same folder, synced, renamed, and the folder synced.
     jobs/<id>/job.json             what was asked for
     jobs/<id>/record.json          how it ended
     jobs/<id>/a<attempt>/<name>    results of one attempt; the job record says which one counts
+    jobs/<id>/checkpoint-a<attempt>  what an unfinished attempt leaves to go on with
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ from jobs.files import (
 )
 from jobs.ids import is_id, new_id, require_id
 from jobs.spec import Artifact, JobRecord, JobSpec
+from udflow import faults
 
+CHECKPOINT = "checkpoint-a"  # + attempt
 _DIGEST_CHARACTERS = frozenset("0123456789abcdef")
 
 
@@ -122,8 +125,10 @@ class FileStore:
         folder = self._scan_folder(scan_id)
         make_folder(folder)
         os.replace(upload.path, folder / "data")
+        faults.hit("scan.moved")
         about = {"id": scan_id, "sha256": digest, "bytes": upload.size, "created_at": time.time()}
         write_json(folder / "scan.json", manifest | about)
+        faults.hit("scan.written")
         owner = self._claim_digest(digest, caller, scan_id)
         if owner != scan_id:  # the same bytes came in twice at once
             shutil.rmtree(folder, ignore_errors=True)
@@ -245,6 +250,25 @@ class FileStore:
         for folder in self._job_folder(job_id).glob("a*"):
             if folder.name != f"a{attempt}":
                 shutil.rmtree(folder, ignore_errors=True)
+
+    def checkpoint_path(self, job_id: str, attempt: int) -> Path:
+        """Where an attempt keeps what the next one may go on with."""
+        return self._job_folder(job_id) / f"{CHECKPOINT}{attempt}"
+
+    def checkpoints(self, job_id: str, before: int) -> list[int]:
+        """Earlier attempts that left a checkpoint, the newest first."""
+        names = [path.name for path in self._job_folder(job_id).glob(f"{CHECKPOINT}*")]
+        numbers = [name.removeprefix(CHECKPOINT) for name in names]
+        found = [int(number) for number in numbers if number.isdigit()]
+        return sorted((attempt for attempt in found if attempt < before), reverse=True)
+
+    def share_checkpoint(self, job_id: str, attempt: int) -> None:
+        """Let workers on other machines see what was written; a shared folder needs nothing."""
+
+    def clear_checkpoints(self, job_id: str) -> None:
+        """Remove all of them: the job has ended."""
+        for path in self._job_folder(job_id).glob(f"{CHECKPOINT}*"):
+            path.unlink(missing_ok=True)
 
     def delete_job(self, job_id: str) -> bool:
         """Remove a job's files. False: there were none."""

@@ -6,6 +6,7 @@ from jobs.dispatch import Dispatcher
 from jobs.records import Created, Idempotency, JobRecords
 from jobs.spec import JobSpec
 from jobs.store import FileStore
+from udflow import faults
 
 
 def submit(
@@ -29,11 +30,13 @@ def submit(
         TooManyJobs: the spec's caller has caller_limit unfinished ones.
     """
     store.write_job(spec)
+    faults.hit("submit.written")
     try:
         created = records.create(spec, idempotency, queue_limit, caller_limit)
     except BaseException:
         store.delete_job(spec.id)
         raise
+    faults.hit("submit.recorded")
     if created.record.id != spec.id:
         store.delete_job(spec.id)
     if not created.record.is_terminal:

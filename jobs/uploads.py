@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 
 from jobs.files import make_folder, read_json, write_json
 from jobs.ids import is_id, new_id, require_id
+from udflow import faults
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ class UploadStore:
             finally:
                 file.flush()
                 os.fsync(file.fileno())
+                faults.hit("upload.appended")
 
     def delete(self, upload_id: str) -> None:
         """Remove it."""

@@ -64,8 +64,8 @@ def reconstruct(
         config: parameters; the preset "fast" if None.
         device: a torch device, such as "cpu" or "cuda".
         on_progress: called with every `Progress`.
-        checkpoint: file that a trained field is saved to now and then, and gone on with where it
-            exists already; see `reconstruct_steps`.
+        checkpoint: file that the reconstruction is saved to now and then, and gone on with where
+            it exists already; see `reconstruct_steps`. Removed in the end.
 
     Raises:
         BadCheckpoint: the file is damaged, or of another cloud or configuration.
@@ -78,6 +78,8 @@ def reconstruct(
             progress = next(steps)
         except StopIteration as done:
             result: Reconstruction = done.value
+            if checkpoint is not None:
+                checkpoint.unlink(missing_ok=True)
             return result
         if on_progress is not None:
             on_progress(progress)
@@ -91,6 +93,7 @@ def reconstruct_steps(
     *,
     checkpoint: Path | None = None,
     checkpoint_s: float = 30.0,
+    checkpoint_now: Callable[[], bool] = lambda: False,
 ) -> Generator[Progress, None, Reconstruction]:
     """`reconstruct` as a generator: yields progress, returns the `Reconstruction`.
 
@@ -98,15 +101,17 @@ def reconstruct_steps(
     `enough` says so no more is fitted, and the mesh is made of the last whole fit; a first fit
     that is trained is used as it is then, one that is solved is finished.
 
-    A trained field is saved to `checkpoint` at most every `checkpoint_s` seconds while it is
-    fitted. Where the file exists already the fit goes on from there, on the same machine bit for
-    bit as if it had never stopped. The file is removed when the field is whole.
+    What there is goes to `checkpoint` after every round of densification and after every fit; a
+    trained field also while it is fitted, every `checkpoint_s` seconds and when `checkpoint_now`
+    says so. Where the file exists already the reconstruction goes on from there, on the same
+    machine bit for bit as if it had never stopped. The file stays: whoever has the result may
+    remove it. A disk that is full costs the checkpoint, not the reconstruction.
     """
     require_reconstructable(cloud)
     with torch.inference_mode():
         run = _Run(cloud, config, device, enough)
         if checkpoint is not None:
-            run.keep(checkpoint, checkpoint_s)
+            run.keep(checkpoint, checkpoint_s, checkpoint_now)
         return (yield from run.steps())
 
 
@@ -142,8 +147,6 @@ class _Run:
         fit = yield from self._fitted("densifying" if self.round else "fitting")
         while self.round < self.rounds and not self.partial and self._grown(fit):
             fit = yield from self._fitted("densifying", fit)
-        if self.keeper is not None:
-            self.keeper.remove()
         yield self._progress("extracting", 0, 1)
         mesh = self._extracted(fit)
         self._clock("extracting")
@@ -152,9 +155,9 @@ class _Run:
         yield self._progress("exporting", 1, 1)
         return result
 
-    def keep(self, path: Path, every_s: float) -> None:
+    def keep(self, path: Path, every_s: float, now: Callable[[], bool]) -> None:
         """Saves to `path` from now on, and goes on from what is there."""
-        self.keeper = Keeper(path, every_s, origin_of(self.measured, self.config))
+        self.keeper = Keeper(path, every_s, now, origin_of(self.measured, self.config))
         stored = self.keeper.stored
         if stored is not None:
             self.samples = stored.samples.to(self.measured.device)
@@ -175,12 +178,22 @@ class _Run:
         return True
 
     def _fitted(self, stage: Stage, earlier: Fit | None = None) -> Generator[Progress, None, Fit]:
-        """A new fit, or the earlier one when it is to be enough."""
+        """A new fit, or the stored one, or the earlier one when it is to be enough."""
+        stored = self.keeper.take_solved() if self.keeper is not None else None
+        fit = stored or (yield from self._newly_fitted(stage, earlier))
+        if fit is not earlier:
+            self.loss, self.latest, self.fits = fit.loss, fit, self.fits + 1
+        self._clock(stage)
+        return fit
+
+    def _newly_fitted(self, stage: Stage, earlier: Fit | None) -> Generator[Progress, None, Fit]:
         random = self.generator.get_state()
         surface, numbers = self._surface(), (self.round, self.rounds)
         fitting = fitting_of(self.samples, surface, self.config, *numbers, earlier, self.generator)
-        if self.keeper is not None:
-            self.keeper.resume(fitting)
+        place = (tuple(self.counts), self.samples, random)
+        keeper = self.keeper
+        if keeper is not None and not keeper.resume(fitting) and self.round:
+            keeper.begun(fitting, *place)
         yield self._progress(stage, 0, fitting.total)
         steps = fitting.run()
         while True:
@@ -188,19 +201,16 @@ class _Run:
                 done = next(steps)
             except StopIteration as whole:
                 fit: Fit = whole.value
-                break
-            if self.keeper is not None:
-                self.keeper.offer(fitting, tuple(self.counts), self.samples, random)
+                if keeper is not None:
+                    keeper.whole(fitting, fit, *place)
+                return fit
+            if keeper is not None:
+                keeper.offer(fitting, *place)
             yield self._progress(stage, done, fitting.total)
             self.partial = self.enough()
             early = (earlier or fitting.early()) if self.partial else None
             if early is not None:
-                fit = early
-                break
-        if fit is not earlier:
-            self.loss, self.latest, self.fits = fit.loss, fit, self.fits + 1
-        self._clock(stage)
-        return fit
+                return early
 
     def _extracted(self, fit: Fit) -> Mesh:
         field = self.unit_field(fit)

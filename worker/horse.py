@@ -17,6 +17,21 @@ log = logging.getLogger("worker")
 _OOM_SCORE = "800"  # when memory runs out the kernel should take the job, not the worker
 
 
+_ending = False
+
+
+def end_soon(*_: object) -> None:
+    """For SIGTERM: save what there is and end. Only takes note: an exception here could hit
+    SciPy's threads."""
+    global _ending
+    _ending = True
+
+
+def is_to_end() -> bool:
+    """Whether this process was asked to save and end."""
+    return _ending
+
+
 def prepare(parent: int) -> None:
     """First thing after the fork. parent: pid of the worker, whose death ends this process."""
     die_with_parent(parent=parent)

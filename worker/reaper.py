@@ -22,6 +22,7 @@ from jobs.settings import Settings
 from jobs.signing import load_secret
 from jobs.spec import JobRecord, JobState
 from jobs.store import FileStore
+from udflow import faults
 from udflow.errors import UdflowError
 from worker.retention import Retention
 
@@ -62,6 +63,7 @@ class Reaper:
             self.press(record, now)
         self.deliver(self._records.queued())
         for record in self._records.unsaved():
+            self._store.clear_checkpoints(record.id)
             self._store.write_record(record)
             self._records.mark_saved(record.id)
         for job_id in self._records.past_retention(now):
@@ -90,11 +92,12 @@ class Reaper:
             record.attempt,
             crashed=True,
             only_expired=True,
-            why=f"the worker of attempt {record.attempt} was lost; the job starts again",
+            why=f"the worker of attempt {record.attempt} was lost; the job goes on elsewhere",
         )
         if after is not None:
             log.warning("%s attempt %d was lost: %s", record.id, record.attempt, after.state)
             self._store.delete_attempt(record.id, record.attempt)
+            faults.hit("reaper.requeued")
             self._offer(after)
 
     def press(self, record: JobRecord, now: float) -> None:
@@ -159,6 +162,8 @@ def main() -> int:
             reaper.sweep()
         except redis.RedisError as error:
             log.warning("Redis does not answer: %s", error)
+        except OSError as error:
+            log.warning("the data folder cannot be used: %s", error)
     return 0
 
 

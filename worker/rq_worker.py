@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +27,7 @@ from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.signing import load_secret, verify
 from jobs.spec import JobRecord, JobState
+from udflow import faults
 from worker import horse, tasks
 from worker.failure import OUT_OF_MEMORY, TIMEOUT
 
@@ -33,6 +35,7 @@ log = logging.getLogger("worker")
 
 _HEARTBEAT_TTL_S = 20  # an idle worker shows itself 15 s before this is over
 _MONITORING_S = 10  # a busy one every so often
+_DRAIN_S = 4.0  # how long a job has to save itself when the worker is shut down
 
 # What a task may bring along. Callbacks, webhooks, retries, repeats, dependencies and results name
 # more code to import or addresses to call, so they are dropped before RQ sees them.
@@ -131,9 +134,21 @@ class FitWorker(Worker):
             self._horse_exit = (pid, status)
         return ended
 
+    def setup_work_horse_signals(self) -> None:
+        """In the forked process: SIGTERM asks it to save and end."""
+        super().setup_work_horse_signals()  # type: ignore[no-untyped-call]
+        signal.signal(signal.SIGTERM, horse.end_soon)
+
     def handle_warm_shutdown_request(self) -> None:
-        """SIGTERM: do not wait for the fit. `_settle` puts the job back."""
+        """SIGTERM: let the fit save itself, do not wait for its end. `_settle` puts it back."""
         super().handle_warm_shutdown_request()  # type: ignore[no-untyped-call]
+        if self.horse_pid:
+            self.kill_horse(signal.SIGTERM)
+            patience = threading.Timer(_DRAIN_S, self._patience_is_over)
+            patience.daemon = True
+            patience.start()
+
+    def _patience_is_over(self) -> None:
         if self.horse_pid:
             self.kill_horse()
 
@@ -159,14 +174,15 @@ class FitWorker(Worker):
             self._records.finish(record.id, record.attempt, JobState.FAILED, error=error)
             return
         why = (
-            "the worker was shut down; the job starts again"
+            "the worker was shut down; another one goes on"
             if self._stop_requested
             else f"the process of attempt {record.attempt} died ({_describe(status)}); "
-            "the job starts again"
+            "the job goes on from its last checkpoint"
         )
         after = self._records.requeue(
             record.id, record.attempt, crashed=not self._stop_requested, why=why
         )
+        faults.hit("worker.settled")
         if after is not None and after.state is JobState.QUEUED:
             self._dispatcher.enqueue(after.id, after.attempt, first=True)
 

@@ -17,15 +17,17 @@ from jobs.records import JobRecords
 from jobs.settings import Settings
 from jobs.spec import Artifact, JobError, JobRecord, JobState
 from jobs.store import FileStore
+from udflow import faults
 from udflow.cloud.formats import read_cloud
 from udflow.config import from_dict
-from udflow.errors import Canceled, InvalidCloud
+from udflow.errors import BadCheckpoint, Canceled, InvalidCloud
 from udflow.progress import Progress
 from udflow.reconstruct import Reconstruction, reconstruct_steps
+from worker.checkpoints import Checkpoints
 from worker.cost import remember_cost
 from worker.extraction import extract_again
 from worker.failure import TooLong, explain
-from worker.horse import choose_device, owner_name
+from worker.horse import choose_device, is_to_end, owner_name
 from worker.lease import LeaseKeeper
 from worker.outputs import Output, outputs_of
 from worker.previewer import Previewer
@@ -61,19 +63,29 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
             log.info("%s attempt %d is not waiting any more", job_id, attempt)
             return
         log.info("%s attempt %d begins on %s", job_id, attempt, device)
+        faults.hit("worker.claimed")
         store = open_store(settings)
         try:
             with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
                 previewer = Previewer(records, Previews(connection), job)
                 watch = Watch(Reporter(records, job), previewer, lease, settings.job_timeout_s)
-                outcome = _attempt(job, records, store, watch)
+                outcome = _attempt(job, records, store, watch, settings.checkpoint_s)
         except JobLost:
             log.warning("%s attempt %d was taken away", job_id, attempt)
             store.delete_attempt(job_id, attempt)
             return
+        except Drained:
+            log.info("%s attempt %d is saved for another worker", job_id, attempt)
+            store.delete_attempt(job_id, attempt)
+            return
+        faults.hit("worker.stored")
         _finish(job, outcome, records, store)
-        if outcome.state is JobState.SUCCEEDED:
+        if outcome.state is JobState.SUCCEEDED and attempt == 1:  # others had a start
             remember_cost(job, store, watch.elapsed_s, Costs(connection), outcome.outputs)
+
+
+class Drained(Exception):
+    """The worker is shut down; what there is was saved."""
 
 
 class Watch:
@@ -86,6 +98,7 @@ class Watch:
         self._previewer = previewer
         self._lease = lease
         self._longest_s = longest_s
+        self._saved = False
         self._began = time.monotonic()
 
     @property
@@ -97,15 +110,25 @@ class Watch:
         """Whether what is fitted so far is to be the result."""
         return self._reporter.enough()
 
+    def saving_now(self) -> bool:
+        """Whether the fit is to be saved at once, because this process has to end."""
+        self._saved = is_to_end()
+        return self._saved
+
     def step(self, progress: Progress) -> None:
-        """Raises TooLong, Canceled or JobLost when it is time to stop."""
+        """Raises TooLong, Canceled, JobLost or Drained when it is time to stop."""
+        faults.hit("worker.step")
         self._mind()
+        if is_to_end() and (self._saved or progress.step == 0):  # at step 0 all is saved
+            raise Drained
         self._reporter.report(progress, _FIT_SHARE * progress.fraction)
         self._previewer.show(progress)
 
     def file(self, done: int, total: int) -> None:
         """As `step`, while the files of the result are written."""
         self._mind()
+        if is_to_end():
+            raise Drained
         self._reporter.report_files(done, total, _FIT_SHARE + (1.0 - _FIT_SHARE) * done / total)
 
     def _mind(self) -> None:
@@ -114,12 +137,14 @@ class Watch:
             raise TooLong
 
 
-def _attempt(job: JobRecord, records: JobRecords, store: FileStore, watch: Watch) -> Outcome:
+def _attempt(
+    job: JobRecord, records: JobRecords, store: FileStore, watch: Watch, checkpoint_s: float
+) -> Outcome:
     try:
         if job.kind == "extract":
             return _extract(job, records, store, watch)
-        return _reconstruct(job, store, watch)
-    except JobLost:
+        return _reconstruct(job, store, watch, checkpoint_s)
+    except (JobLost, Drained):
         raise
     except Canceled:
         return Outcome(JobState.CANCELED)
@@ -127,15 +152,27 @@ def _attempt(job: JobRecord, records: JobRecords, store: FileStore, watch: Watch
         return Outcome(JobState.FAILED, explain(error))
 
 
-def _reconstruct(job: JobRecord, store: FileStore, watch: Watch) -> Outcome:
+def _reconstruct(job: JobRecord, store: FileStore, watch: Watch, checkpoint_s: float) -> Outcome:
     watch.step(Progress("reading", 0, 1, 0.0, 0.0, 0))
     path = store.scan_path(job.scan_id)
     if not path.exists():
         raise InvalidCloud("the scan of this job was deleted; upload it again and make a new job")
     cloud = read_cloud(path)
-    config = from_dict(job.config)
-    steps = reconstruct_steps(cloud, config, job.device or "cpu", watch.enough)
-    result = _drive(steps, watch)
+    checkpoints = Checkpoints(job, store)
+
+    def begin() -> Reconstruction:
+        steps = reconstruct_steps(
+            cloud,
+            from_dict(job.config),
+            job.device or "cpu",
+            watch.enough,
+            checkpoint=checkpoints.path,
+            checkpoint_s=checkpoint_s,
+            checkpoint_now=watch.saving_now,
+        )
+        return _drive(steps, watch, checkpoints)
+
+    result = _gone_on(begin, checkpoints)
     outputs = _store(outputs_of(result), job, store, watch)
     return Outcome(JobState.SUCCEEDED, outputs=outputs, warnings=cloud.warnings)
 
@@ -147,13 +184,27 @@ def _extract(job: JobRecord, records: JobRecords, store: FileStore, watch: Watch
     return Outcome(JobState.SUCCEEDED, outputs=_store(files, job, store, watch))
 
 
-def _drive(steps: Generator[Progress, None, Reconstruction], watch: Watch) -> Reconstruction:
+def _gone_on(begin: Callable[[], Reconstruction], checkpoints: Checkpoints) -> Reconstruction:
+    """From the newest checkpoint of an earlier attempt that is sound, else anew."""
+    for found in checkpoints.earlier():
+        try:
+            return begin()
+        except BadCheckpoint as error:
+            log.warning("%s is passed over: %s", found.name, error)
+    checkpoints.forget()
+    return begin()
+
+
+def _drive(
+    steps: Generator[Progress, None, Reconstruction], watch: Watch, checkpoints: Checkpoints
+) -> Reconstruction:
     while True:
         try:
             progress = next(steps)
         except StopIteration as end:
             result: Reconstruction = end.value
             return result
+        checkpoints.share()
         watch.step(progress)
 
 
@@ -180,7 +231,10 @@ def _finish(job: JobRecord, outcome: Outcome, records: JobRecords, store: FileSt
         ),
         records.lease_s,
     )
+    faults.hit("worker.finished")
     log.info("%s attempt %d: %s", job.id, job.attempt, reached or "was taken away")
+    if reached is not None:
+        store.clear_checkpoints(job.id)
     if reached is JobState.SUCCEEDED or (reached is JobState.CANCELED and _is_kept(job, records)):
         store.keep_only_attempt(job.id, job.attempt)
     else:

@@ -47,7 +47,7 @@ def field_to_bytes(field: UnsignedDistanceField) -> bytes:
         TypeError: a field of a kind that has no format.
     """
     if isinstance(field.fitted, SplineField):
-        tensors, header = _spline_parts(field.fitted)
+        tensors, header = spline_parts(field.fitted)
     elif isinstance(field.fitted, MLPField | CapUdfField):
         tensors, header = trained_parts(field.fitted)
     else:
@@ -63,7 +63,7 @@ def field_to_bytes(field: UnsignedDistanceField) -> bytes:
     return to_bytes(tensors, metadata={"udflow": json.dumps(header)})
 
 
-def _spline_parts(spline: SplineField) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def spline_parts(spline: SplineField) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors and header of a spline field."""
     tensors: dict[str, Tensor] = {}
     levels: list[dict[str, Any]] = []
@@ -120,6 +120,15 @@ def _fitted(header: dict[str, Any], tensor: Callable[[str], Tensor]) -> FittedFi
     """The field that a header describes; `tensor` reads one by name."""
     if header["format"] == TRAINED_FORMAT:
         return trained_field(header, tensor("parameters"))
+    return spline_from(header, tensor)
+
+
+def spline_from(header: dict[str, Any], tensor: Callable[[str], Tensor]) -> SplineField:
+    """The inverse of `spline_parts`; `tensor` reads one by name.
+
+    Raises:
+        BadField: values that cannot be.
+    """
     levels = tuple(
         _level(described, *(tensor(f"level{i}.{name}") for name in _LEVEL))
         for i, described in enumerate(header["levels"])

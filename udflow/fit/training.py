@@ -207,6 +207,8 @@ class Trainer:
         self.generator.set_state(state["order"].cpu())
         self._order = self._order[:0]
         self._order_state = state["order"].cpu()
+        if self.iteration % self._batches:  # the order under way: what follows it must find
+            self._new_order()  # the generator as it was
         self._good = self._snapshot()
 
     def _go_back(self) -> None:

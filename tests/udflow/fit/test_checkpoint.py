@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
 from shapes import Sphere
 
 from udflow.cloud.point_cloud import PointCloud
-from udflow.config import Config, DensifyConfig, ExtractConfig
+from udflow.config import Config, DensifyConfig, ExtractConfig, FlowConfig
 from udflow.errors import BadCheckpoint
 from udflow.fields.storage import field_to_bytes
 from udflow.neural_config import NetworkConfig, TrainingConfig
@@ -42,8 +46,8 @@ def whole() -> Reconstruction:
     return reconstruct(CLOUD, CONFIG)
 
 
-# the first fit reports at 0, 100, 200 and 300 iterations, each of the two rounds at 0, 100 and 150
-@pytest.mark.parametrize("steps", [3, 4, 7, 10])
+# reading, then the first fit reports at 0, 100, 200 and 300 iterations, each of the two rounds at 0, 100 and 150
+@pytest.mark.parametrize("steps", [3, 5, 6, 8, 10])
 def test_it_goes_on_bit_for_bit(steps: int, whole: Reconstruction, tmp_path: Path) -> None:
     path = tmp_path / "half.safetensors"
     seen = stopped_after(steps, path)
@@ -63,10 +67,101 @@ def test_an_empty_place_starts_anew(whole: Reconstruction, tmp_path: Path) -> No
     assert field_to_bytes(result.field) == field_to_bytes(whole.field)
 
 
-def test_solved_fields_need_no_checkpoint(tmp_path: Path) -> None:
+SPLINE = replace(CONFIG, field="spline", flow=FlowConfig(steps=2))
+
+
+@pytest.fixture(scope="module")
+def whole_spline() -> Reconstruction:
+    return reconstruct(CLOUD, SPLINE)
+
+
+# reading, then each of three fits reports at 0, 1 and 2 levels, then the extraction begins
+@pytest.mark.parametrize("steps", [5, 7, 8, 10, 11, 12])
+def test_solved_fields_go_on_bit_for_bit(
+    steps: int, whole_spline: Reconstruction, tmp_path: Path
+) -> None:
     path = tmp_path / "spline.safetensors"
-    stopped_after(4, path, replace(CONFIG, field="spline"))
+    seen = stopped_after(steps, path, SPLINE)
+    assert path.exists()
+    resumed: list[Progress] = []
+    result = reconstruct(CLOUD, SPLINE, checkpoint=path, on_progress=resumed.append)
+    assert field_to_bytes(result.field) == field_to_bytes(whole_spline.field)
+    assert np.array_equal(result.points.points, whole_spline.points.points)
+    assert np.array_equal(result.mesh.vertices, whole_spline.mesh.vertices)
+    assert np.array_equal(result.mesh.faces, whole_spline.mesh.faces)
+    assert result.report["loss"] == whole_spline.report["loss"]
+    assert resumed[1].round == seen[-1].round
+    if seen[-1].stage == "extracting":
+        assert resumed[1].stage == "extracting"  # the field was whole: nothing is fitted again
+
+
+def test_a_trained_field_that_is_whole_is_not_trained_again(
+    whole: Reconstruction, tmp_path: Path
+) -> None:
+    path = tmp_path / "whole.safetensors"
+    assert stopped_after(12, path)[-1].stage == "extracting"
+    resumed: list[Progress] = []
+    result = reconstruct(CLOUD, CONFIG, checkpoint=path, on_progress=resumed.append)
+    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
+    assert result.report["loss"] == whole.report["loss"]
+    assert [p.step for p in resumed if p.stage == "densifying"] == [0]
+
+
+def test_a_fit_is_saved_when_somebody_asks(tmp_path: Path) -> None:
+    path = tmp_path / "asked.safetensors"
+    asked = iter([False, True])
+    steps = reconstruct_steps(
+        CLOUD, CONFIG, checkpoint=path, checkpoint_s=1e9, checkpoint_now=lambda: next(asked)
+    )
+    for _ in range(3):
+        next(steps)
     assert not path.exists()
+    next(steps)
+    assert path.exists()
+    steps.close()
+
+
+def test_a_full_disk_costs_the_checkpoint_and_not_the_fit(
+    whole: Reconstruction,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    path, faults = tmp_path / "half.safetensors", tmp_path / "faults"
+    stopped_after(4, path)
+    before = path.read_bytes()
+    faults.mkdir()
+    monkeypatch.setenv("UDFLOW_FAULTS", str(faults))
+    for place in ("checkpoint.begun", "checkpoint.written"):
+        (faults / place).write_text("ENOSPC")
+        stopped_after(4, path)
+        assert not (faults / place).exists()
+        assert "No space left on device" in caplog.text
+        caplog.clear()
+    assert path.read_bytes() != before  # later ones were written again
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["faults", "half.safetensors"]
+    result = reconstruct(CLOUD, CONFIG, checkpoint=path)
+    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
+
+
+@given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+def test_a_bit_that_was_flipped_is_noticed(place: float, bit: int) -> None:
+    content = bytearray(_stored())
+    content[int(place * len(content))] ^= 1 << bit
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "flipped")
+        path.write_bytes(content)
+        with pytest.raises(BadCheckpoint):
+            reconstruct(CLOUD, CONFIG, checkpoint=path)
+
+
+@cache
+def _stored() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "half")
+        stopped_after(3, path)
+        return path.read_bytes()
 
 
 def test_another_configuration_is_refused(tmp_path: Path) -> None:
