@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
+from udflow.mesh.load import read_mesh
 from udflow.mesh.mesh import Mesh
 from udflow.metrics.surface import bounds, sample
 
@@ -59,8 +59,7 @@ def shapes(data: Path, wanted: Sequence[str]) -> list[tuple[str, Path]]:
 
 def load(file: Path) -> Mesh:
     """A ground-truth mesh as it is in its file, node transforms applied."""
-    mesh: Any = trimesh.load(file, force="mesh", process=False)
-    return Mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+    return read_mesh(file)
 
 
 def scan_of(mesh: Mesh, points: int, noise: float, seed: int) -> NDArray[np.float64]:

@@ -282,7 +282,13 @@ def test_a_signal_ends_it_at_once_without_a_trace(
     with (
         open(scan, "rb") as points,
         subprocess.Popen(
-            command, stdin=points, stderr=subprocess.PIPE, text=True, env=environment
+            command,
+            stdin=points,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            # tests that run behind nohup or & have it ignored, and children inherit that
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as process,
     ):
         assert process.stderr is not None

@@ -77,18 +77,34 @@ def _by_trimesh(path: Path, format: str) -> tuple[NDArray[np.float64], NDArray[n
 
     try:
         # As bytes, so that nothing the file refers to is opened.
-        mesh: Any = trimesh.load(
-            io.BytesIO(path.read_bytes()),
-            file_type=format,
-            process=False,
-            force="mesh",
-            skip_materials=True,
+        scene = trimesh.load_scene(
+            io.BytesIO(path.read_bytes()), file_type=format, process=False, skip_materials=True
         )
-        return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+        return _joined(scene)
     except Exception as error:  # trimesh's loaders have no common base of what they raise
         raise InvalidCloud(
             f"{format.upper()}: the triangles cannot be read; export the mesh again"
         ) from error
+
+
+def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The triangles of all nodes in the frame of the scene.
+
+    trimesh joins them too, but copies their textures for it, which asks for an image library.
+    """
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        found = scene.geometry[name]
+        if not hasattr(found, "faces"):
+            continue
+        placed = np.asarray(found.vertices, np.float64)
+        if not np.array_equal(transform, np.eye(4)):
+            placed = placed @ transform[:3, :3].T + transform[:3, 3]
+        vertices.append(placed)
+        faces.append(np.asarray(found.faces, np.int64) + count)
+        count += len(placed)
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 def _colors_of(cloud: PointCloud, vertices: NDArray[np.float64]) -> NDArray[np.uint8] | None:
