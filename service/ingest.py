@@ -16,6 +16,7 @@ from service.callers import current
 from service.multipart import Form, read_form
 from service.names import clean_filename
 from service.problems import Problem, invalid
+from service.room import require_room
 from service.services import Services
 
 FORM_OVERHEAD = 1 << 20
@@ -31,8 +32,9 @@ async def received(request: Request, services: Services) -> AsyncIterator[tuple[
     """The bytes of the file on disk and what came with them; removed again unless stored.
 
     Raises:
-        Problem: too large, malformed, interrupted or without a file.
+        Problem: too large, malformed, interrupted or without a file; no room for it.
     """
+    require_room(services, _announced(request))
     with services.store.receive() as upload:
         if is_form(request):
             form = await _receive_form(request, services, upload)
@@ -43,6 +45,11 @@ async def received(request: Request, services: Services) -> AsyncIterator[tuple[
         if upload.size == 0:
             raise Problem("invalid_cloud", "The file is empty: it has 0 bytes. Send a point cloud.")
         yield upload, form
+
+
+def _announced(request: Request) -> int:
+    length = request.headers.get("content-length", "")
+    return int(length) if length.isascii() and length.isdigit() and len(length) < 19 else 0
 
 
 async def store_scan(upload: Upload, form: Form, services: Services) -> tuple[dict[str, Any], bool]:

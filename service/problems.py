@@ -233,7 +233,7 @@ async def _on_store_error(request: Request, error: Exception) -> JSONResponse:
 
 async def _on_os_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, OSError)
-    if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         raise error
     problem = Problem("storage_full", "The disk is full; nothing of this request was kept.")
     return problem.response(request.scope)

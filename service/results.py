@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from jobs.soundness import Soundness
 from jobs.spec import JobRecord, JobState
 from jobs.store import FileStore
 from service.names import stem
 from service.problems import Problem
+
+_sound = Soundness()
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ def result_file(record: JobRecord, name: str, store: FileStore) -> ResultFile:
     """The file `name` of a finished job.
 
     Raises:
-        Problem: 404 or 409 when there is no such file.
+        Problem: 404 or 409 when there is no such file, 500 when it is damaged.
     """
     _require_success(record)
     artifact = record.outputs.get(name)
@@ -34,6 +37,12 @@ def result_file(record: JobRecord, name: str, store: FileStore) -> ResultFile:
     path = store.artifact_path(artifact)
     if not path.is_file():
         raise Problem("artifact_not_found", f"{name} is no longer in the store.")
+    if not _sound.is_sound(path, artifact):
+        raise Problem(
+            "artifact_damaged",
+            f"{name} in the store is not what this job made: size or SHA-256 differ. Repeat the "
+            f"job by POST /v1/jobs/{record.id}/retry, and look after the disk.",
+        )
     scan = store.read_scan(record.scan_id) or {}
     return ResultFile(path, artifact.sha256, _filename(scan.get("filename", ""), name))
 

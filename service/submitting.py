@@ -16,6 +16,7 @@ from jobs.webhooks import refusal
 from service.callers import current
 from service.job_view import job_view
 from service.problems import Problem, invalid
+from service.room import require_room
 from service.services import Services
 
 POLL_AFTER = {"Retry-After": "1"}
@@ -29,8 +30,9 @@ async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Service
     comes again.
 
     Raises:
-        Problem: the key was used otherwise, its job is gone, or the queue is full.
+        Problem: the key was used otherwise, its job is gone, the queue or the disk is full.
     """
+    require_room(services)
     await _count(services)
     created = await run_in_threadpool(_submitted, spec, key, asked, services)
     view = await run_in_threadpool(job_view, created.record, services.records)

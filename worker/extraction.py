@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+from jobs.soundness import Soundness
 from jobs.spec import JobRecord
 from jobs.store import FileStore
 from udflow.cloud.formats import read_cloud
 from udflow.config import from_dict
-from udflow.errors import UdflowError
+from udflow.errors import BadField, UdflowError
 from udflow.fields.storage import load_field
 from udflow.progress import Progress
 from udflow.reextract import reextract
@@ -67,4 +68,6 @@ def _file(source: JobRecord | None, name: str, store: FileStore) -> Path:
     path = store.artifact_path(artifact) if artifact is not None else None
     if path is None or not path.is_file():
         raise SourceGone(f"{name} of the job to extract from is gone; reconstruct the scan again")
+    if artifact is not None and not Soundness().is_sound(path, artifact):
+        raise BadField(f"{name} of the job to extract from is damaged; reconstruct the scan again")
     return path

@@ -22,6 +22,7 @@ from service.multipart import Form
 from service.names import clean_filename
 from service.openapi import Answers, problems
 from service.problems import Problem
+from service.room import require_room
 from service.routes.scans import find_scan, scan_view
 from service.schemas import JobFailure, UploadState
 from service.services import Needs, Services
@@ -100,8 +101,7 @@ def _require_room(length: int, services: Services) -> None:
         raise Problem("body_too_large", message, limit_bytes=limit)
     if length == 0:
         raise Problem("invalid_cloud", "The file is empty: it has 0 bytes. Send a point cloud.")
-    if length > services.store.free_bytes() - services.settings.min_free_bytes:
-        raise Problem("storage_full", "There is no room for this upload; nothing was kept.")
+    require_room(services, length)
 
 
 @router.head(

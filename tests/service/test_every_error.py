@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
-import pytest
 from api_process import Api, ApiProcess, ball
 
 from jobs.ids import new_id
@@ -26,25 +24,40 @@ def code(answer: httpx.Response) -> tuple[int, str]:
     return answer.status_code, answer.json()["code"]
 
 
-@pytest.fixture(scope="module")
-def full(api_redis: EmbeddedRedis, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    """A service whose queue takes no job and whose disk has no room."""
-    folder = tmp_path_factory.mktemp("full")
-    shared = Settings(data=folder / "data", redis_url=f"{api_redis.url}?db=5")
-    limits = {"UDFLOW_QUEUE_LIMIT": "0", "UDFLOW_MIN_FREE_MB": str(10**9)}
-    with ApiProcess(shared, folder / "log", limits) as running:
-        yield running
-
-
-def test_a_full_queue(full: Api) -> None:
-    answer = httpx.post(f"{full.url}/v1/jobs", files={"file": ("a.npy", ball())}, timeout=30)
+def test_a_full_queue(api_redis: EmbeddedRedis, tmp_path: Path) -> None:
+    shared = Settings(data=tmp_path / "data", redis_url=f"{api_redis.url}?db=5")
+    with ApiProcess(shared, tmp_path / "log", {"UDFLOW_QUEUE_LIMIT": "0"}) as full:
+        answer = httpx.post(f"{full.url}/v1/jobs", files={"file": ("a.npy", ball())}, timeout=30)
     assert code(answer) == (429, "queue_full")
     assert int(answer.headers["retry-after"]) > 0
 
 
-def test_a_full_disk(full: Api) -> None:
-    headers = {"Tus-Resumable": "1.0.0", "Upload-Length": "100"}
-    assert code(httpx.post(f"{full.url}/v1/uploads", headers=headers)) == (507, "storage_full")
+def test_a_disk_below_its_floor_takes_nothing_and_keeps_what_it_has(
+    api_redis: EmbeddedRedis, tmp_path: Path
+) -> None:
+    shared = Settings(data=tmp_path / "data", redis_url=f"{api_redis.url}?db=5")
+    store = FileStore(shared.data)
+    with store.receive() as upload:
+        upload.write(ball())
+        about = {"filename": "", "format": "npy", "points": 500}
+        scan_id = store.add_scan(upload, about).id
+    before = sorted(shared.data.rglob("*"))
+    with ApiProcess(shared, tmp_path / "log", {"UDFLOW_MIN_FREE_MB": str(10**9)}) as full:
+        tus = {"Tus-Resumable": "1.0.0", "Upload-Length": "100"}
+        job, scan = {"scan_id": scan_id}, {"file": ("a.npy", ball())}
+        answers = [
+            httpx.post(f"{full.url}/v1/uploads", headers=tus),
+            httpx.post(f"{full.url}/v1/scans", files=scan),
+            httpx.post(f"{full.url}/v1/scans", content=ball(501)),
+            httpx.post(f"{full.url}/v1/jobs", files=scan),
+            httpx.post(f"{full.url}/v1/jobs", json=job),
+        ]
+        assert [code(answer) for answer in answers] == [(507, "storage_full")] * 5
+        checks = httpx.get(f"{full.url}/readyz").json()["checks"]
+        assert [check["ok"] for check in checks if check["name"] == "disk"] == [False]
+    after = [path for path in sorted(shared.data.rglob("*")) if path.name != "uploads"]
+    assert [path for path in after if path.name != "secret.key"] == before
+    assert store.scan_path(scan_id).read_bytes() == ball()
 
 
 def test_the_wrong_method_is_told_the_right_ones(client: httpx.Client) -> None:
@@ -69,6 +82,24 @@ def test_a_damaged_field(
     for path, body in (("udf", {"points": [[0, 0, 0]]}), ("udf/slice", {})):
         answer = client.post(f"/v1/jobs/{started}/{path}", json=body)
         assert code(answer) == (500, "artifact_damaged")
+
+
+def test_a_file_whose_bytes_have_changed_is_not_served(
+    started: str, client: httpx.Client, records: JobRecords, store: FileStore
+) -> None:
+    name, content = "mesh.ply", b"ply" + bytes(1000)
+    mesh = store.put_artifact(started, 1, name, lambda path: path.write_bytes(content))
+    records.finish(started, 1, JobState.SUCCEEDED, outputs={name: mesh})
+    address = f"/v1/jobs/{started}/mesh"
+    assert client.get(address).content == content
+    path = store.artifact_path(mesh)
+    for damaged in (b"plY" + content[3:], content[:-1], content + b"\0"):
+        path.write_bytes(damaged)
+        answer = client.get(address)
+        assert code(answer) == (500, "artifact_damaged")
+        assert "SHA-256" in answer.json()["detail"]
+    path.write_bytes(content)
+    assert client.get(address).content == content
 
 
 def test_a_mistake_of_the_service_is_logged_under_its_request_id(
