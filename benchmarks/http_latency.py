@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import multiprocessing
 import os
 import signal
 import socket
@@ -21,6 +22,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +64,7 @@ def _measured(client: Client, url: str, options: argparse.Namespace) -> Iterator
     beside = f"{options.fits} fits"
     yield "binary query", beside, _throughput(client, job_id, options.queries)
     yield "10 points as JSON", beside, _small(url, job_id, options.polls)
-    polls = asyncio.run(_polls(url, fits, options))
+    polls = _polls_among_watchers(url, fits, options)
     yield "status poll", f"{beside}, {options.watchers} websockets", polls
     for fit in fits:
         client.cancel(fit)
@@ -97,34 +99,55 @@ def _timed(ask: Any) -> float:
     return time.perf_counter() - began
 
 
-async def _polls(url: str, fits: list[str], options: argparse.Namespace) -> str:
-    """Status polls while websockets take all events of the fits."""
-    taken = 0
+def _polls_among_watchers(url: str, fits: list[str], options: argparse.Namespace) -> str:
+    """Status polls while websockets, in a process of their own, take all events of the fits."""
+    spawned = multiprocessing.get_context("spawn")
+    ours, theirs = spawned.Pipe()
+    jobs = [fits[i % len(fits)] for i in range(options.watchers)]
+    watchers = spawned.Process(target=_watch, args=(url, jobs, theirs))
+    watchers.start()
+    ours.recv()  # all are open
+    seconds = []
+    with httpx.Client(base_url=url, timeout=60) as http:
+        for i in range(options.polls):
+            address = f"/v1/jobs/{fits[i % len(fits)]}"
+            seconds.append(_timed(lambda address=address: http.get(address)))
+            time.sleep(0.01)
+    ours.send("enough")
+    taken, broken, lasted = ours.recv()
+    watchers.join()
+    rate = f"{taken / lasted:.0f} events a second taken, {broken} websockets broken"
+    return f"{_percentiles(iter(seconds))}; {rate}"
 
-    async def watch(job_id: str) -> None:
+
+def _watch(url: str, jobs: list[str], told: Connection) -> None:
+    """Opens a websocket for each job, says so, and at a word tells what came through them."""
+
+    async def watch(job_id: str, opened: asyncio.Semaphore) -> None:
         nonlocal taken
         address = f"{url.replace('http', 'ws', 1)}/v1/jobs/{job_id}/events"
         async with connect(address, open_timeout=60) as line:
+            opened.release()
             async for _ in line:
                 taken += 1
 
-    watchers = [asyncio.create_task(watch(fits[i % len(fits)])) for i in range(options.watchers)]
-    await asyncio.sleep(5.0)
-    seconds = []
-    async with httpx.AsyncClient(base_url=url, timeout=60) as http:
-        for i in range(options.polls):
-            began = time.perf_counter()
-            (await http.get(f"/v1/jobs/{fits[i % len(fits)]}")).raise_for_status()
-            seconds.append(time.perf_counter() - began)
-            await asyncio.sleep(0.01)
-    for watcher in watchers:
-        watcher.cancel()
-    failed = [
-        one
-        for one in await asyncio.gather(*watchers, return_exceptions=True)
-        if isinstance(one, Exception)
-    ]
-    return f"{_percentiles(iter(seconds))}; {taken} events taken, {len(failed)} websockets broken"
+    async def all_of_them() -> None:
+        opened = asyncio.Semaphore(0)
+        tasks = [asyncio.create_task(watch(job_id, opened)) for job_id in jobs]
+        for _ in jobs:
+            await opened.acquire()
+        began, before = time.perf_counter(), taken
+        told.send("open")
+        await asyncio.to_thread(told.recv)
+        lasted = time.perf_counter() - began
+        broken = sum(task.done() for task in tasks)
+        told.send((taken - before, broken, lasted))
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    taken = 0
+    asyncio.run(all_of_them())
 
 
 def _percentiles(seconds: Iterator[float]) -> str:

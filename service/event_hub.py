@@ -10,7 +10,8 @@ from contextlib import contextmanager
 
 from redis.exceptions import RedisError
 
-from jobs.events import AsyncEvents, Event
+from jobs.events import AsyncEvents
+from service.event_message import Message
 
 log = logging.getLogger("service")
 
@@ -36,11 +37,11 @@ class Watcher:
 
     def __init__(self, since: str) -> None:
         self.since = since
-        self._pending: deque[Event] = deque()
+        self._pending: deque[Message] = deque()
         self._arrived = asyncio.Event()
         self._overflowed = False
 
-    def offer(self, event: Event) -> None:
+    def offer(self, event: Message) -> None:
         """Adds an event without ever waiting."""
         if event.type == "progress" and self._pending and self._pending[-1].type == "progress":
             self._pending.pop()
@@ -58,7 +59,7 @@ class Watcher:
         for event in older:
             self._pending.remove(event)
 
-    async def next(self, timeout_s: float) -> Event | None:
+    async def next(self, timeout_s: float) -> Message | None:
         """The next event, or None when none came in time.
 
         Raises:
@@ -67,7 +68,8 @@ class Watcher:
         if not self._pending and not self._overflowed:
             self._arrived.clear()
             try:
-                await asyncio.wait_for(self._arrived.wait(), timeout_s)
+                async with asyncio.timeout(timeout_s):
+                    await self._arrived.wait()
             except TimeoutError:
                 return None
         if self._overflowed:
@@ -135,5 +137,6 @@ class EventHub:
                 continue
             for event in events:
                 channel.last_id = event.id
+                message = Message.of(event)  # one for all, so that it is encoded once
                 for watcher in channel.watchers:
-                    watcher.offer(event)
+                    watcher.offer(message)

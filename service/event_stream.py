@@ -7,13 +7,13 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import dataclass
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
-
+from jobs.async_records import AsyncRecords, Look
 from jobs.events import START, AsyncEvents, Event, require_event_id
-from jobs.records import JobRecords, Snapshot
+from jobs.records import Snapshot
 from service.callers import current
 from service.event_hub import EventHub
-from service.job_view import job_values, timestamp
+from service.event_message import Message
+from service.job_view import job_view
 
 HEARTBEAT_S = 15.0
 PAGE = 500
@@ -30,12 +30,12 @@ class EventSource:
     heartbeat_s: longest silence towards a client.
     """
 
-    records: JobRecords
+    records: AsyncRecords
     events: AsyncEvents
     hub: EventHub
     heartbeat_s: float = HEARTBEAT_S
 
-    async def stream(self, job_id: str, after: str | None) -> AsyncGenerator[dict[str, Any]]:
+    async def stream(self, job_id: str, after: str | None) -> AsyncGenerator[Message]:
         """A snapshot, then events until the end of the job.
 
         With `after`, everything since that event follows the snapshot, without loss or repeat; if
@@ -54,17 +54,17 @@ class EventSource:
         with self.hub.watch(job_id, snapshot.last_event) as watcher:
             if after is not None and await self._has_gap(job_id, after, snapshot):
                 data = {"after": after, "resumed_at": start}
-                yield message(start, "gap", time.time(), data)
+                yield Message(start, "gap", time.time(), data)
             elif after is not None:
                 start = after
-            data = await run_in_threadpool(job_values, snapshot.record, self.records)
-            yield message(start, "snapshot", time.time(), data)
+            shown = job_view(snapshot.record, snapshot.queue_position)
+            yield Message(start, "snapshot", time.time(), shown.model_dump(mode="json"))
             if after is None and snapshot.record.is_terminal:
                 yield _end(snapshot)
                 return
             until = max(watcher.since, snapshot.last_event, key=place)
             async for event in self._replay(job_id, start, until):
-                yield from_event(event)
+                yield Message.of(event)
                 start = event.id
                 if event.type == "end":
                     return
@@ -74,9 +74,9 @@ class EventSource:
                 live = await watcher.next(self.heartbeat_s)
                 if live is None:
                     await self._snapshot(job_id)
-                    yield {"type": "heartbeat", "time": timestamp(time.time())}
-                elif place(live.id) > place(start):
-                    yield from_event(live)
+                    yield Message(None, "heartbeat", time.time(), {})
+                elif live.id is not None and place(live.id) > place(start):
+                    yield live
                     if live.type == "end":
                         return
 
@@ -94,7 +94,7 @@ class EventSource:
         """Returns at the next event of the job (or at its end only), or after the timeout."""
         deadline = time.monotonic() + timeout_s
         with self.hub.watch(job_id, known.last_event) as watcher:
-            now = await run_in_threadpool(self.records.snapshot, job_id)
+            now = await self.records.look(job_id)
             if now is None or now.record.is_terminal:
                 return
             if now.last_event != known.last_event and not to_end:
@@ -104,8 +104,8 @@ class EventSource:
                 if event is not None and (event.type == "end" or not to_end):
                     return
 
-    async def _snapshot(self, job_id: str) -> Snapshot:
-        snapshot = await run_in_threadpool(self.records.snapshot, job_id)
+    async def _snapshot(self, job_id: str) -> Look:
+        snapshot = await self.records.look(job_id)
         if snapshot is None or not current().sees(snapshot.record.caller):
             raise UnknownJob
         return snapshot
@@ -129,26 +129,16 @@ class EventSource:
             after = events[-1].id if events else until
 
 
-def message(event_id: str, kind: str, seconds: float, data: Any) -> dict[str, Any]:
-    """An event as it is sent."""
-    return {"id": event_id, "type": kind, "time": timestamp(seconds), "data": data}
-
-
-def from_event(event: Event) -> dict[str, Any]:
-    """A stored event as it is sent."""
-    return message(event.id, event.type, event.time, event.data)
-
-
 def place(event_id: str) -> tuple[int, int]:
     """Event ids in their order."""
     milliseconds, _, number = event_id.partition("-")
     return int(milliseconds), int(number or 0)
 
 
-def _end(snapshot: Snapshot) -> dict[str, Any]:
+def _end(snapshot: Snapshot) -> Message:
     """The last event of a finished job, told from its record: streams outlive jobs only a day."""
     record = snapshot.record
     data: dict[str, Any] = {"state": record.state, "attempt": record.attempt}
     if record.error is not None:
         data["error"] = vars(record.error)
-    return message(snapshot.last_event, "end", record.finished_at or time.time(), data)
+    return Message(snapshot.last_event, "end", record.finished_at or time.time(), data)

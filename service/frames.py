@@ -6,10 +6,10 @@ import asyncio
 import time
 from collections import OrderedDict
 from collections.abc import AsyncIterator
-from typing import Any
 
 from jobs.keys import WATCHED_LIFE_S
 from jobs.previews import KINDS, AsyncPreviews, Kind, sequence_of
+from service.event_message import Message
 
 _KEPT = 32  # frames of at most 2 MB
 
@@ -51,16 +51,16 @@ class FrameReader:
         self._sent: dict[Kind, int] = {}
         self._mark_at = 0.0
 
-    async def frames_for(self, message: dict[str, Any]) -> AsyncIterator[bytes]:
+    async def frames_for(self, message: Message) -> AsyncIterator[bytes]:
         """The frames to send after a message: what there is after a snapshot, then each new one.
 
         A client that is slow gets the newest when it is ready, and never an older one after it.
         """
         await self._stay_marked()
-        if message["type"] == "snapshot":
+        if message.type == "snapshot":
             wanted: dict[Kind, int] = dict.fromkeys(KINDS, 1)
-        elif message["type"] == "preview":
-            wanted = {message["data"]["kind"]: message["data"]["sequence"]}
+        elif message.type == "preview":
+            wanted = {message.data["kind"]: message.data["sequence"]}
         else:
             return
         for kind, sequence in wanted.items():

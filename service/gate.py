@@ -85,7 +85,8 @@ def _with_deadline(receive: Receive, seconds: float) -> Receive:
         if complete:
             return await receive()
         try:
-            message = await asyncio.wait_for(receive(), seconds)
+            async with asyncio.timeout(seconds):
+                message = await receive()
         except TimeoutError as error:
             complete = True
             detail = f"No byte of the body arrived for {seconds:g} s; send it again."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any
 
 from jobs.records import JobRecords
 from jobs.spec import Artifact, JobRecord, JobState
@@ -22,9 +21,14 @@ OUTPUT_PATHS = {
 }
 
 
-def job_view(record: JobRecord, records: JobRecords) -> Job:
-    """The record with addresses, calendar times and its place in the queue (asks Redis)."""
+def current_view(record: JobRecord, records: JobRecords) -> Job:
+    """The record as the API shows it; asks Redis for its place in the queue."""
     waits = record.state is JobState.QUEUED
+    return job_view(record, records.queue_position(record.id) if waits else None)
+
+
+def job_view(record: JobRecord, queue_position: int | None) -> Job:
+    """The record with addresses, calendar times and its place in the queue."""
     return Job(
         id=record.id,
         kind=record.kind,
@@ -35,7 +39,7 @@ def job_view(record: JobRecord, records: JobRecords) -> Job:
         stage=record.stage,
         progress=min(max(record.progress, 0.0), 1.0),
         eta_s=record.eta_s,
-        queue_position=records.queue_position(record.id) if waits else None,
+        queue_position=queue_position,
         attempt=record.attempt,
         device=record.device,
         points=record.points,
@@ -54,11 +58,6 @@ def job_view(record: JobRecord, records: JobRecords) -> Job:
         expires_at=_optional(record.expires_at),
         links=_links(record),
     )
-
-
-def job_values(record: JobRecord, records: JobRecords) -> dict[str, Any]:
-    """`job_view` as JSON values."""
-    return job_view(record, records).model_dump(mode="json")
 
 
 def moment(seconds: float) -> datetime:

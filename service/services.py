@@ -12,6 +12,7 @@ import redis
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
+from jobs.async_records import AsyncRecords
 from jobs.dispatch import Dispatcher
 from jobs.events import AsyncEvents
 from jobs.open_store import open_store
@@ -35,6 +36,7 @@ from service.settings import ServiceSettings
 class Services:
     """Shared by all requests; every part is safe to use from several threads.
 
+    looks: records for routes that do not leave the event loop;
     longest_run_s: what workers allow one attempt at a job; webhook_hosts: see `Settings`, None
     where there are no webhooks.
     """
@@ -42,6 +44,7 @@ class Services:
     settings: ServiceSettings
     redis: redis.Redis
     records: JobRecords
+    looks: AsyncRecords
     store: FileStore
     uploads: UploadStore
     dispatcher: Dispatcher
@@ -63,15 +66,17 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
     events = AsyncEvents(streams)
     hub = EventHub(events)
     records = JobRecords(connection, shared.lease_s)
+    looks = AsyncRecords(streams)
     store = open_store(shared)
     services = Services(
         settings=settings,
         redis=connection,
         records=records,
+        looks=looks,
         store=store,
         uploads=UploadStore(store.root, shared.upload_life_s),
         dispatcher=Dispatcher(raw, load_secret(shared), shared.job_timeout_s),
-        events=EventSource(records, events, hub),
+        events=EventSource(looks, events, hub),
         inspector=Inspector(settings),
         fields=FieldCache(),
         keys=KeyBook(streams),

@@ -14,7 +14,7 @@ from jobs.spec import JobSpec
 from jobs.submission import submit
 from jobs.webhooks import refusal
 from service.callers import current
-from service.job_view import job_view
+from service.job_view import current_view
 from service.problems import Problem, invalid
 from service.room import require_room
 from service.services import Services
@@ -35,7 +35,7 @@ async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Service
     require_room(services)
     await _count(services)
     created = await run_in_threadpool(_submitted, spec, key, asked, services)
-    view = await run_in_threadpool(job_view, created.record, services.records)
+    view = await run_in_threadpool(current_view, created.record, services.records)
     headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
     if created.replayed:
         headers["Idempotency-Replayed"] = "true"

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator
 from contextlib import aclosing, suppress
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, WebSocket
 from fastapi.responses import JSONResponse, Response, StreamingResponse
@@ -17,7 +16,8 @@ from jobs.errors import BadEventId
 from jobs.events import START, require_event_id
 from jobs.ids import is_id
 from service.event_hub import Overflow
-from service.event_stream import UnknownJob, from_event
+from service.event_message import Message
+from service.event_stream import UnknownJob
 from service.frames import FrameReader
 from service.openapi import problems
 from service.problems import invalid
@@ -62,10 +62,12 @@ async def _send_events(socket: WebSocket, job_id: str, services: Services) -> No
         reader = FrameReader(services.frames, job_id) if _wants_frames(socket) else None
         async with aclosing(services.events.stream(job_id, after)) as messages:
             async for message in messages:
-                await asyncio.wait_for(socket.send_text(json.dumps(message)), SEND_TIMEOUT_S)
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    await socket.send_text(message.text)
                 if reader is not None:
                     async for frame in reader.frames_for(message):
-                        await asyncio.wait_for(socket.send_bytes(frame), SEND_TIMEOUT_S)
+                        async with asyncio.timeout(SEND_TIMEOUT_S):
+                            await socket.send_bytes(frame)
         await socket.close(ENDED, "the job has ended")
     except UnknownJob:
         await socket.close(UNKNOWN, "there is no job with this id")
@@ -85,7 +87,8 @@ def _wants_frames(socket: WebSocket) -> bool:
 
 async def _turn_away(socket: WebSocket, reason: str) -> None:
     with suppress(TimeoutError):
-        await asyncio.wait_for(socket.close(TRY_AGAIN, reason), SEND_TIMEOUT_S)
+        async with asyncio.timeout(SEND_TIMEOUT_S):
+            await socket.close(TRY_AGAIN, reason)
 
 
 async def _until_disconnect(socket: WebSocket) -> None:
@@ -125,7 +128,7 @@ async def list_events(
     events, end = await services.events.page(job_id, resume or START, limit)
     return JSONResponse(
         {
-            "events": [from_event(event) for event in events],
+            "events": [Message.of(event).values for event in events],
             "last_id": events[-1].id if events else resume or START,
             "end": end,
         }
@@ -144,12 +147,6 @@ async def _server_sent(services: Services, job_id: str, after: str | None) -> As
     try:
         async with aclosing(services.events.stream(job_id, after)) as messages:
             async for message in messages:
-                yield _frame(message)
+                yield message.frame
     except (UnknownJob, Overflow):
         return  # the connection ends; the browser comes back with Last-Event-ID
-
-
-def _frame(message: dict[str, Any]) -> str:
-    if "id" not in message:
-        return ": heartbeat\n\n"
-    return f"id: {message['id']}\nevent: {message['type']}\ndata: {json.dumps(message)}\n\n"

@@ -13,7 +13,7 @@ from jobs.webhooks import WebhookQueue
 from service.bodies import read_model
 from service.callers import current
 from service.estimates import require_affordable
-from service.job_view import job_view, moment
+from service.job_view import current_view, moment
 from service.openapi import model_body, problems
 from service.problems import Problem
 from service.requests import Cancel, Extraction
@@ -59,7 +59,7 @@ def _cancel(job_id: str, keep_partial: bool, services: Services) -> Job:
         )
     if record.state is JobState.CANCELED:
         services.dispatcher.withdraw(record.id, record.attempt)
-    return job_view(record, services.records)
+    return current_view(record, services.records)
 
 
 @router.post(

@@ -10,9 +10,9 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import AwareDatetime, BeforeValidator
 from starlette.concurrency import run_in_threadpool
 
+from jobs.async_records import Look
 from jobs.costs import Estimate
 from jobs.ids import is_id
-from jobs.records import Snapshot
 from jobs.spec import JobRecord, JobSpec, JobState
 from service.bodies import read_model
 from service.callers import current
@@ -20,7 +20,7 @@ from service.downloads import matches
 from service.estimates import require_affordable, view
 from service.ingest import is_form, received, store_scan
 from service.job_request import complete_config, form_values
-from service.job_view import job_view
+from service.job_view import current_view, job_view
 from service.openapi import job_request_body, problems
 from service.problems import Problem
 from service.routes.scans import find_scan
@@ -141,7 +141,7 @@ def list_jobs(
         created_after=after,
         of=current().owner,
     )
-    jobs = [job_view(record, services.records) for record in page.records]
+    jobs = [current_view(record, services.records) for record in page.records]
     return JobPage(jobs=jobs, next_cursor=page.next)
 
 
@@ -166,24 +166,24 @@ async def get_job(
     """
     known = request.headers.get("if-none-match")
     snapshot = await find_snapshot(job_id, services)
-    view, etag = await _tagged(snapshot.record, services)
+    body, etag = _tagged(snapshot)
     settled = snapshot.record.is_terminal or (known is not None and not matches(known, etag))
     if wait > 0 and not settled:
         await services.events.wait_for_change(job_id, snapshot, wait, to_end=known is None)
         snapshot = await find_snapshot(job_id, services)
-        view, etag = await _tagged(snapshot.record, services)
+        body, etag = _tagged(snapshot)
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
     if matches(known, etag):
         return Response(status_code=304, headers=headers)
     if not snapshot.record.is_terminal:
         headers |= POLL_AFTER
-    return JSONResponse(view, headers=headers)
+    return Response(body, headers=headers, media_type="application/json")
 
 
-async def _tagged(record: JobRecord, services: Services) -> tuple[dict[str, Any], str]:
-    view = await run_in_threadpool(job_view, record, services.records)
-    text = view.model_dump_json()
-    return view.model_dump(mode="json"), f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
+def _tagged(snapshot: Look) -> tuple[bytes, str]:
+    """The job as JSON, and its ETag."""
+    body = job_view(snapshot.record, snapshot.queue_position).model_dump_json().encode()
+    return body, f'"{hashlib.sha256(body).hexdigest()[:32]}"'
 
 
 def find_job(job_id: str, services: Services) -> JobRecord:
@@ -192,23 +192,26 @@ def find_job(job_id: str, services: Services) -> JobRecord:
     Raises:
         Problem: 404, or 410 if it was there once.
     """
-    record = services.records.get(job_id) if is_id("job", job_id) else None
+    known = is_id("job", job_id)
+    record = services.records.get(job_id) if known else None
     if record is None or not current().sees(record.caller):
-        raise unknown_job(job_id, services)
+        raise _unknown_job(known and services.records.is_gone(job_id))
     return record
 
 
-async def find_snapshot(job_id: str, services: Services) -> Snapshot:
+async def find_snapshot(job_id: str, services: Services) -> Look:
     """The record of a job and its place among its events; raises as `find_job`."""
+    gone = False
     if is_id("job", job_id):
-        snapshot = await run_in_threadpool(services.records.snapshot, job_id)
+        snapshot = await services.looks.look(job_id)
         if snapshot is not None and current().sees(snapshot.record.caller):
             return snapshot
-    raise await run_in_threadpool(unknown_job, job_id, services)
+        gone = await services.looks.is_gone(job_id)
+    raise _unknown_job(gone)
 
 
-def unknown_job(job_id: str, services: Services) -> Problem:
+def _unknown_job(gone: bool) -> Problem:
     """404, or 410 if there was such a job once."""
-    if is_id("job", job_id) and services.records.is_gone(job_id):
+    if gone:
         return Problem("gone", "This job was deleted or has expired, with all its files.")
     return Problem("job_not_found", "There is no job with this id; GET /v1/jobs lists all jobs.")

@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from jobs import keys
+from jobs.async_records import AsyncRecords
 from jobs.events import AsyncEvents, Event, Events
 from jobs.ids import new_id
 from jobs.records import JobRecords
@@ -282,8 +283,9 @@ def test_silence_is_broken_by_heartbeats_until_the_job_is_deleted(
         reader = asyncio.create_task(hub.run())
         types = []
         try:
-            async for message in EventSource(records, events, hub, 0.05).stream(started, None):
-                types.append(message["type"])
+            source = EventSource(AsyncRecords(connection), events, hub, 0.05)
+            async for message in source.stream(started, None):
+                types.append(message.type)
                 if len(types) == 4:
                     records.delete(started, force=True)
         except Exception as error:
