@@ -35,7 +35,10 @@ from jobs.redis_server import EmbeddedRedis
 from udflow.client import Client
 
 SMALL = {"densify": {"target_points": 0}, "extract": {"resolution": 64}}
-LONG = {"densify": {"target_points": 400_000, "points_per_round": 1_000}}
+LONG = {  # small steps, so that there is much to tell
+    "densify": {"target_points": 400_000, "points_per_round": 500},
+    "extract": {"resolution": 64},
+}
 
 
 def main() -> None:
@@ -59,7 +62,7 @@ def _measured(client: Client, url: str, options: argparse.Namespace) -> Iterator
     yield "binary query", "nothing", _throughput(client, job_id, options.queries)
     yield "10 points as JSON", "nothing", _small(url, job_id, options.polls)
     fits = [client.submit(_ball(4_000 + i), config=LONG)["id"] for i in range(options.fits)]
-    while any(client.job(fit)["state"] == "queued" for fit in fits[:1]):
+    while any(client.job(fit)["stage"] in (None, "reading") for fit in fits):
         time.sleep(0.1)
     beside = f"{options.fits} fits"
     yield "binary query", beside, _throughput(client, job_id, options.queries)
@@ -67,6 +70,8 @@ def _measured(client: Client, url: str, options: argparse.Namespace) -> Iterator
     polls = _polls_among_watchers(url, fits, options)
     yield "status poll", f"{beside}, {options.watchers} websockets", polls
     for fit in fits:
+        if client.job(fit)["state"] != "running":
+            raise SystemExit("a fit has ended before the measurement; make it longer")
         client.cancel(fit)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import redis.asyncio
 
 from jobs import keys
 from jobs.fields import record_of
-from jobs.records import Snapshot
+from jobs.records import Idempotency, Snapshot
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,13 @@ class AsyncRecords:
             return None
         position = None if rank is None else int(rank) + 1
         return Look(record_of(fields), last[0][0] if last else "0-0", position)
+
+    async def made_by(self, request: Idempotency) -> str | None:
+        """The id of the job that the same request made before."""
+        name = hashlib.sha256(request.key.encode()).hexdigest()
+        seen = await self._redis.get(keys.idempotency(name))
+        digest, _, job_id = (seen or "").partition(" ")
+        return job_id if digest == request.fingerprint else None
 
     async def is_gone(self, some_id: str) -> bool:
         """Whether a job or scan existed and was deleted or has expired."""

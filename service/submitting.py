@@ -14,13 +14,25 @@ from jobs.spec import JobSpec
 from jobs.submission import submit
 from jobs.webhooks import refusal
 from service.callers import current
-from service.job_view import current_view
+from service.job_view import current_view, job_view
 from service.problems import Problem, invalid
 from service.room import require_room
+from service.schemas import Job
 from service.services import Services
 
 POLL_AFTER = {"Retry-After": "1"}
 IdempotencyKey = Annotated[str | None, Header(min_length=1, max_length=255)]
+
+
+async def replayed(key: str | None, asked: Any, services: Services) -> JSONResponse | None:
+    """The answer to a request that came before with the same key and values; None if it is new.
+
+    Asked before anything is checked that may have changed meanwhile: the scan, quotas, the room.
+    """
+    known = _idempotency(key, asked)
+    job_id = await services.looks.made_by(known) if known is not None else None
+    look = await services.looks.look(job_id) if job_id is not None else None
+    return None if look is None else _answer(job_view(look.record, look.queue_position), True)
 
 
 async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Services) -> JSONResponse:
@@ -36,10 +48,22 @@ async def accepted(spec: JobSpec, key: str | None, asked: Any, services: Service
     await _count(services)
     created = await run_in_threadpool(_submitted, spec, key, asked, services)
     view = await run_in_threadpool(current_view, created.record, services.records)
-    headers = {"Location": f"/v1/jobs/{created.record.id}", **POLL_AFTER}
-    if created.replayed:
+    return _answer(view, created.replayed)
+
+
+def _answer(view: Job, is_replay: bool) -> JSONResponse:
+    headers = {"Location": f"/v1/jobs/{view.id}", **POLL_AFTER}
+    if is_replay:
         headers["Idempotency-Replayed"] = "true"
     return JSONResponse(view.model_dump(mode="json"), 202, headers)
+
+
+def _idempotency(key: str | None, asked: Any) -> Idempotency | None:
+    """Keys of different callers have nothing to do with each other."""
+    if key is None:
+        return None
+    owner = current().owner
+    return Idempotency.of(key if owner is None else f"{owner}:{key}", asked)
 
 
 async def _count(services: Services) -> None:
@@ -53,19 +77,15 @@ async def _count(services: Services) -> None:
 
 
 def _submitted(spec: JobSpec, key: str | None, asked: Any, services: Services) -> Created:
-    # keys of different callers have nothing to do with each other
-    caller = current()
-    own_key = key if caller.owner is None else f"{caller.owner}:{key}"
-    idempotency = None if key is None else Idempotency.of(own_key or "", asked)
     try:
         return submit(
             spec,
             services.records,
             services.store,
             services.dispatcher,
-            idempotency=idempotency,
+            idempotency=_idempotency(key, asked),
             queue_limit=services.settings.queue_limit,
-            caller_limit=caller.jobs,
+            caller_limit=current().jobs,
         )
     except IdempotencyConflict as error:
         raise Problem("idempotency_conflict", str(error)) from error

@@ -22,7 +22,7 @@ from service.routes.jobs import find_job
 from service.routes.scans import Force, find_scan
 from service.schemas import DeliveryList, DeliveryState, Job
 from service.services import Needs, Services
-from service.submitting import IdempotencyKey, accepted, kept_for
+from service.submitting import IdempotencyKey, accepted, kept_for, replayed
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["jobs"])
 
@@ -74,6 +74,9 @@ async def retry_job(
     job_id: str, services: Needs, idempotency_key: IdempotencyKey = None
 ) -> JSONResponse:
     """A new job with the scan, the parameters and the metadata of one that has ended."""
+    asked = {"retry": job_id}
+    if again := await replayed(idempotency_key, asked, services):
+        return again
     record = await run_in_threadpool(find_job, job_id, services)
     _require_ended(record)
     await run_in_threadpool(find_scan, record.scan_id, services)
@@ -90,7 +93,7 @@ async def retry_job(
         webhook=record.webhook,
         caller=current().owner,
     )
-    return await accepted(spec, idempotency_key, {"retry": record.id}, services)
+    return await accepted(spec, idempotency_key, asked, services)
 
 
 @router.post(
@@ -108,6 +111,9 @@ async def extract_again(
     """A short job that fits nothing: another resolution, or the part inside a box."""
     record = await run_in_threadpool(_fitted, job_id, services)
     wish = await read_model(request, Extraction, optional=True)
+    asked: dict[str, Any] = {"extract": record.id, **wish.model_dump(mode="json")}
+    if again := await replayed(idempotency_key, asked, services):
+        return again
     changes = {"resolution": wish.resolution, "extractor": wish.extractor}
     given = {name: value for name, value in changes.items() if value is not None}
     spec = JobSpec.new(
@@ -123,7 +129,6 @@ async def extract_again(
     )
     scan = await run_in_threadpool(services.store.read_scan, record.scan_id) or {}
     await run_in_threadpool(require_affordable, scan, spec.config, "extract", services)
-    asked: dict[str, Any] = {"extract": record.id, **wish.model_dump(mode="json")}
     return await accepted(spec, idempotency_key, asked, services)
 
 

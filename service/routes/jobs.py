@@ -26,7 +26,14 @@ from service.problems import Problem
 from service.routes.scans import find_scan
 from service.schemas import Job, JobCreate, JobEstimate, JobPage
 from service.services import Needs, Services
-from service.submitting import POLL_AFTER, IdempotencyKey, accepted, callable_webhook, kept_for
+from service.submitting import (
+    POLL_AFTER,
+    IdempotencyKey,
+    accepted,
+    callable_webhook,
+    kept_for,
+    replayed,
+)
 
 MAX_WAIT_S = 60.0
 
@@ -70,6 +77,9 @@ async def create_job(
         wish = await read_model(request, JobCreate)
         # before the scan is looked for: a wrong parameter is told even if the id is wrong too
         complete_config(wish.preset, wish.config)
+    asked = wish.model_dump(mode="json")
+    if not validate_only and (again := await replayed(idempotency_key, asked, services)):
+        return again
     scan = await run_in_threadpool(_scan_of, wish.scan_id, services)
     spec = JobSpec.new(
         wish.scan_id,
@@ -85,7 +95,7 @@ async def create_job(
     )
     if validate_only:
         return await run_in_threadpool(_estimate, spec, estimate, services)
-    return await accepted(spec, idempotency_key, wish.model_dump(mode="json"), services)
+    return await accepted(spec, idempotency_key, asked, services)
 
 
 def _estimate(spec: JobSpec, estimate: Estimate, services: Services) -> JSONResponse:

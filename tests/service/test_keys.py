@@ -219,10 +219,13 @@ def test_jobs_at_once(add: Client, guarded: Api) -> None:
 
 def test_jobs_a_day(add: Client) -> None:
     client = add("thrifty", "--jobs-per-day", "1")
-    scan = upload(client)
-    assert start(client, scan).status_code == 202
+    scan, once = upload(client), {"idempotency-key": "the only one"}
+    first = start(client, scan, **once)
+    assert first.status_code == 202
     refused = start(client, scan)
     assert code(refused) == (429, "quota_exceeded")
+    again = start(client, scan, **once)  # is no further job
+    assert (again.status_code, again.json()["id"]) == (202, first.json()["id"])
     assert int(refused.headers["retry-after"]) > 60
 
 
