@@ -11,8 +11,11 @@ from typing import Any
 
 import redis
 import redis.asyncio
+from redis.asyncio import BlockingConnectionPool
 
 from jobs.errors import BadSetting, NoRedisServer
+
+_CONNECTIONS = 32  # of an event loop to Redis
 
 
 @dataclass(frozen=True)
@@ -108,12 +111,18 @@ class Settings:
         return redis.Redis.from_url(self.url, decode_responses=True, **options)
 
     def connect_async(self) -> redis.asyncio.Redis:
-        """For the API's event readers: answers are text."""
-        return redis.asyncio.Redis.from_url(self.url, decode_responses=True)
+        """For the API's event loop: answers are text."""
+        return self._shared_by_many(decode_responses=True)
 
     def connect_async_raw(self) -> redis.asyncio.Redis:
         """For the API's readers of preview frames: answers are bytes."""
-        return redis.asyncio.Redis.from_url(self.url)
+        return self._shared_by_many()
+
+    def _shared_by_many(self, **options: Any) -> redis.asyncio.Redis:
+        """Hundreds may ask at once: they wait for one of a few connections. A connection for each
+        would be more than the server's socket takes in one moment."""
+        pool = BlockingConnectionPool.from_url(self.url, max_connections=_CONNECTIONS, **options)
+        return redis.asyncio.Redis.from_pool(pool)
 
     def connect_raw(self) -> redis.Redis:
         """For RQ, which wants bytes."""

@@ -15,6 +15,7 @@ import httpx
 import pytest
 import redis
 from api_process import Api
+from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -297,3 +298,25 @@ def test_silence_is_broken_by_heartbeats_until_the_job_is_deleted(
         return types
 
     assert asyncio.run(story()) == ["snapshot"] + ["heartbeat"] * 3 + ["UnknownJob"]
+
+
+def test_two_hundred_come_at_once_and_none_is_turned_away(
+    started: str, api: Api, records: JobRecords
+) -> None:
+    url = f"{api.ws}/v1/jobs/{started}/events"
+
+    async def watch(arrived: asyncio.Semaphore) -> list[str]:
+        async with connect_async(url, open_timeout=60) as line:
+            types = [json.loads(await line.recv())["type"]]
+            arrived.release()
+            return types + [json.loads(message)["type"] async for message in line]
+
+    async def story() -> list[list[str]]:
+        arrived = asyncio.Semaphore(0)
+        tasks = [asyncio.create_task(watch(arrived)) for _ in range(200)]
+        for _ in tasks:
+            await asyncio.wait_for(arrived.acquire(), 60)
+        records.finish(started, 1, JobState.SUCCEEDED)
+        return await asyncio.gather(*tasks)
+
+    assert asyncio.run(story()) == [["snapshot", "state", "end"]] * 200
