@@ -10,11 +10,11 @@ from typing import Any
 from jobs.spec import Artifact, JobError, JobRecord, JobSpec, JobState, box_of
 
 
-def initial_fields(spec: JobSpec) -> dict[str, str]:
-    """Of a job that was just asked for."""
+def initial_fields(spec: JobSpec, attempt: int = 1) -> dict[str, str]:
+    """Of a job that waits for its attempt."""
     return texts(
         spec.to_dict()
-        | {"state": JobState.QUEUED, "attempt": 1, "crashes": 0, "progress": 0.0}
+        | {"state": JobState.QUEUED, "attempt": attempt, "crashes": 0, "progress": 0.0}
         | {"round": 0, "rounds": 0, "outputs": {}, "warnings": [], "cancel_requested": False}
         | {"keep_partial": False}
     )

@@ -121,6 +121,15 @@ class ObjectStore(FileStore):
         values = self._get_json(f"jobs/{require_id('job', job_id)}/job.json")
         return None if values is None else JobSpec.from_dict(values)
 
+    def note_attempt(self, job_id: str, attempt: int) -> None:
+        """As `FileStore.note_attempt`."""
+        self._put_json(f"jobs/{job_id}/attempt.json", {"attempt": attempt})
+
+    def last_attempt(self, job_id: str) -> int:
+        """As `FileStore.last_attempt`."""
+        values = self._get_json(f"jobs/{require_id('job', job_id)}/attempt.json")
+        return 0 if values is None else int(values["attempt"])
+
     def write_record(self, record: JobRecord) -> bool:
         """As `FileStore.write_record`."""
         if self._get(f"jobs/{record.id}/job.json") is None:

@@ -86,8 +86,11 @@ class JobRecords:
         idempotency: Idempotency | None = None,
         queue_limit: int | None = None,
         caller_limit: int | None = None,
+        attempt: int = 1,
     ) -> Created:
         """Store a new job as queued. The same spec or idempotency key again changes nothing.
+
+        attempt: above 1 for a job that Redis forgot while it may still have been running.
 
         Raises:
             IdempotencyConflict: the key came before with another body.
@@ -95,7 +98,7 @@ class JobRecords:
             TooManyJobs: the spec's caller has caller_limit unfinished ones.
             UnknownId: the job that the key made has been deleted since.
         """
-        fields = initial_fields(spec)
+        fields = initial_fields(spec, attempt)
         digest = idempotency.fingerprint if idempotency else ""
         key = hashlib.sha256(idempotency.key.encode()).hexdigest() if idempotency else "none"
         outcome, job_id = self._run(

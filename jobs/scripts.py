@@ -105,7 +105,7 @@ if caller and caller ~= '' then
 end
 redis.call('ZADD', INDEX, 0, ID)
 redis.call('ZADD', QUEUED, ARGV[4], ID)
-emit_state('state', 'queued', 1, '')
+emit_state('state', 'queued', redis.call('HGET', JOB, 'attempt'), '')
 if digest ~= '' then
   redis.call('SET', KEYS[8], digest .. ' ' .. ID, 'EX', {IDEMPOTENCY_LIFE_S})
 end

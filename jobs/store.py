@@ -5,6 +5,7 @@ temporary name in the same folder, synced, renamed, and the folder synced.
     scans/<id>/data, scan.json     the bytes as uploaded, and what inspection found
     scans/by-sha256/<digest>       the id of the scan with these bytes
     jobs/<id>/job.json             what was asked for
+    jobs/<id>/attempt.json         the attempt that was begun last
     jobs/<id>/record.json          how it ended
     jobs/<id>/a<attempt>/<name>    results of one attempt; the job record says which one counts
     jobs/<id>/checkpoint-a<attempt>  what an unfinished attempt leaves to go on with
@@ -176,6 +177,13 @@ class FileStore:
         shutil.rmtree(folder, ignore_errors=True)
         return True
 
+    def clear_half_scan(self, scan_id: str, before: float) -> None:
+        """Remove bytes that never became a scan, if they came before Unix second `before`."""
+        folder = self._scan_folder(scan_id)
+        with suppress(FileNotFoundError):
+            if folder.stat().st_mtime < before and not (folder / "scan.json").exists():
+                shutil.rmtree(folder, ignore_errors=True)
+
     # jobs
 
     def write_job(self, spec: JobSpec) -> None:
@@ -188,6 +196,16 @@ class FileStore:
         """What was asked for, None if there is no such job."""
         values = read_json(self._job_folder(job_id) / "job.json")
         return None if values is None else JobSpec.from_dict(values)
+
+    def note_attempt(self, job_id: str, attempt: int) -> None:
+        """Keep how far attempts have been counted, so that a Redis that forgets this job cannot
+        give the same number to two workers."""
+        write_json(self._job_folder(job_id) / "attempt.json", {"attempt": attempt})
+
+    def last_attempt(self, job_id: str) -> int:
+        """The attempt that was begun last, 0 if there was none."""
+        values = read_json(self._job_folder(job_id) / "attempt.json")
+        return 0 if values is None else int(values["attempt"])
 
     def write_record(self, record: JobRecord) -> bool:
         """Keep how a job ended, beside what it made. False: its files have been deleted."""
@@ -266,9 +284,11 @@ class FileStore:
         """Let workers on other machines see what was written; a shared folder needs nothing."""
 
     def clear_checkpoints(self, job_id: str) -> None:
-        """Remove all of them: the job has ended."""
-        for path in self._job_folder(job_id).glob(f"{CHECKPOINT}*"):
-            path.unlink(missing_ok=True)
+        """Remove all of them, and what a killed attempt was writing beside: the job has ended."""
+        folder = self._job_folder(job_id)
+        for pattern in (f"{CHECKPOINT}*", f"{TEMPORARY}*-attempt.json"):
+            for path in folder.glob(pattern):
+                path.unlink(missing_ok=True)
 
     def delete_job(self, job_id: str) -> bool:
         """Remove a job's files. False: there were none."""

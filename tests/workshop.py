@@ -49,8 +49,8 @@ class Workshop:
         self._logs = settings.data / "logs"
         self._logs.mkdir(exist_ok=True)
 
-    def start_worker(self) -> subprocess.Popen[str]:
-        """`python -m worker`, ready to take jobs."""
+    def start_worker(self, **more: str) -> subprocess.Popen[str]:
+        """`python -m worker`, ready to take jobs. more: of its environment."""
         environ = {
             "REDIS_URL": self.settings.url,
             "UDFLOW_DATA": str(self.settings.data),
@@ -62,7 +62,7 @@ class Workshop:
         with path.open("w") as log:
             worker = subprocess.Popen(
                 [sys.executable, "-m", "worker"],
-                env=dict(os.environ) | environ,
+                env=dict(os.environ) | environ | more,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 text=True,

@@ -29,6 +29,7 @@ from worker.retention import Retention
 log = logging.getLogger("reaper")
 
 _CLEAN_PERIOD_S = 30.0
+_SUBMITTED_WITHIN_S = 60.0  # a manifest so old has its record, or nobody will make one
 _TEMPORARY_PERIOD_S = 3600.0
 _TEMPORARY_LIFE_S = 24 * 3600.0
 
@@ -75,14 +76,28 @@ class Reaper:
         """Tell a Redis that is empty (new, flushed, its files lost) what the disk knows: ended
         jobs as they ended, all others queued again."""
         for job_id in self._store.jobs():
-            ended = self._store.read_record(job_id)
-            spec = self._store.read_job(job_id)
-            if ended is not None:
-                self._records.restore(ended)
-            elif spec is not None and not self._records.create(spec).replayed:
-                log.warning("%s was forgotten by Redis and waits again", job_id)
-                self._dispatcher.enqueue(job_id, 1)
+            self._bring_back(job_id)
         self._records.mark_restored()
+
+    def rescue(self, older_than_s: float = _SUBMITTED_WITHIN_S) -> None:
+        """Bring back single jobs that Redis does not know: it lost its last second with the
+        power, or the service died while it took the job in."""
+        for job_id in self._store.jobs():
+            known = self._records.get(job_id) is not None or self._records.is_gone(job_id)
+            spec = None if known else self._store.read_job(job_id)
+            if spec is not None and spec.created_at < time.time() - older_than_s:
+                self._bring_back(job_id)
+
+    def _bring_back(self, job_id: str) -> None:
+        ended = self._store.read_record(job_id)
+        spec = self._store.read_job(job_id)
+        if ended is not None:
+            self._records.restore(ended)
+        elif spec is not None:
+            attempt = self._store.last_attempt(job_id) + 1  # who ran it is shut out by the number
+            if not self._records.create(spec, attempt=attempt).replayed:
+                log.warning("%s was forgotten by Redis and waits again", job_id)
+                self._dispatcher.enqueue(job_id, attempt)
 
     def take_back(self, record: JobRecord) -> None:
         """Requeue a job whose lease is over."""
@@ -137,6 +152,7 @@ class Reaper:
         if now >= self._temporary_at:
             self._store.sweep_temporary(_TEMPORARY_LIFE_S)
             self._retention.sweep()
+            self.rescue()
             self._temporary_at = now + _TEMPORARY_PERIOD_S
 
 

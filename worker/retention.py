@@ -38,7 +38,10 @@ class Retention:
         used = self._records.scans_in_use()
         for scan_id in self._store.scans():
             manifest = self._store.read_scan(scan_id)
-            if scan_id in used or manifest is None or manifest["created_at"] > limit:
+            if manifest is None:  # the service died while it took the scan in
+                self._store.clear_half_scan(scan_id, limit)
+                continue
+            if scan_id in used or manifest["created_at"] > limit:
                 continue
             log.info("%s is removed, no job has used it lately", scan_id)
             self._records.mark_gone(scan_id)

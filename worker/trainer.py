@@ -65,6 +65,7 @@ def train(job_id: str, attempt: int, settings: Settings) -> None:
         log.info("%s attempt %d begins on %s", job_id, attempt, device)
         faults.hit("worker.claimed")
         store = open_store(settings)
+        _note(job, store)
         try:
             with LeaseKeeper(records, job_id, attempt, settings.stall_s) as lease:
                 previewer = Previewer(records, Previews(connection), job)
@@ -217,6 +218,14 @@ def _store(
         watch.file(done, len(files))
         stored[file.name] = store.put_artifact(job.id, job.attempt, file.name, file.write)
     return stored
+
+
+def _note(job: JobRecord, store: FileStore) -> None:
+    """A full disk is no reason not to begin: the number matters only if Redis is lost as well."""
+    try:
+        store.note_attempt(job.id, job.attempt)
+    except OSError as error:
+        log.warning("%s attempt %d is not noted: %s", job.id, job.attempt, error)
 
 
 def _finish(job: JobRecord, outcome: Outcome, records: JobRecords, store: FileStore) -> None:

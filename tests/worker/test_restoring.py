@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from workshop import Workshop
+from dataclasses import replace
 
-from jobs.spec import Artifact, JobState
+from shapes import Sphere
+from workshop import LONG, QUICK, Workshop, horse_of, is_alive, until
+
+from jobs.spec import Artifact, JobSpec, JobState
+
+SPHERE = Sphere().sample(200).numpy()
 
 
 def test_jobs_come_back_as_they_were_or_wait_again(own_shop: Workshop) -> None:
@@ -37,3 +42,30 @@ def test_nothing_comes_back_while_redis_remembers(own_shop: Workshop) -> None:
     own_shop.records.delete(job_id, force=True)  # its files are about to follow
     own_shop.reaper.sweep()
     assert own_shop.records.get(job_id) is None
+
+
+def test_a_job_that_was_running_comes_back_under_another_number(own_shop: Workshop) -> None:
+    worker, running = own_shop.start_worker(), own_shop.submit(LONG)
+    horse = horse_of(own_shop.is_fitting(running))
+    own_shop.connection.flushdb()
+    own_shop.reaper.sweep()
+    assert (own_shop.get(running).state, own_shop.get(running).attempt) == (JobState.QUEUED, 2)
+    assert not own_shop.records.renew_lease(running, 1)
+    until(lambda: not is_alive(horse), 10.0)  # it hears at its next report that it was shut out
+    own_shop.reaches(running, JobState.RUNNING, within_s=20.0)
+    assert horse_of(own_shop.get(running)) != horse
+    worker.kill()
+
+
+def test_a_manifest_without_a_record_is_an_accepted_job(own_shop: Workshop) -> None:
+    own_shop.reaper.sweep()
+    lost, fresh, deleted = (JobSpec.new(own_shop.scan(SPHERE), QUICK) for _ in range(3))
+    lost = replace(lost, created_at=lost.created_at - 61.0)
+    deleted = replace(deleted, created_at=deleted.created_at - 61.0)
+    for spec in (lost, fresh, deleted):
+        own_shop.store.write_job(spec)
+    own_shop.records.create(deleted)
+    own_shop.records.delete(deleted.id, force=True)
+    own_shop.reaper.rescue()
+    assert [record.id for record in own_shop.records.queued()] == [lost.id]
+    assert own_shop.dispatcher.is_waiting(lost.id, 1)

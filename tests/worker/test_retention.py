@@ -46,3 +46,14 @@ def test_files_of_deleted_jobs_do_not_stay(own_shop: Workshop) -> None:
     retention(own_shop).sweep()
     assert set(own_shop.store.jobs()) == {kept}
     assert not own_shop.records.is_gone(new_id("job"))
+
+
+def test_bytes_that_never_became_a_scan_go(own_shop: Workshop) -> None:
+    half = own_shop.store.root / "scans" / new_id("scan")
+    half.mkdir()
+    (half / "data").write_bytes(b"the service died here")
+    Retention(own_shop.settings, own_shop.records, own_shop.store).sweep()
+    assert half.exists()  # it may be on its way
+    time.sleep(0.01)
+    retention(own_shop).sweep()
+    assert not half.exists()
