@@ -99,7 +99,8 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
         raw.close()
 
 
-def _services(connection: HTTPConnection) -> Services:
+async def _services(connection: HTTPConnection) -> Services:
+    # async, though it waits for nothing: a plain function would be sent to a thread each time
     found: Services = connection.app.state.services
     return found
 

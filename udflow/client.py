@@ -250,11 +250,22 @@ class Client:
 
     # results
 
-    def mesh(self, job_id: str, target: Path | str, format: str | None = None) -> Path:
-        """Download the mesh. format: ply, glb, obj or stl; default: the suffix of `target`."""
+    def mesh(
+        self,
+        job_id: str,
+        target: Path | str,
+        format: str | None = None,
+        *,
+        frame: str | None = None,
+    ) -> Path:
+        """Download the mesh.
+
+        format: ply, glb, obj or stl; default: the suffix of `target`. frame: "world" or "local",
+        which is relative to a shift that the file states; default: whatever the format can hold.
+        """
         path = Path(target)
-        chosen = format or path.suffix.lstrip(".").lower() or "ply"
-        return self.download(job_id, "mesh", path, params={"format": chosen})
+        params = {"format": format or path.suffix.lstrip(".").lower() or "ply"}
+        return self.download(job_id, "mesh", path, params | ({"frame": frame} if frame else {}))
 
     def download(
         self, job_id: str, name: str, target: Path, params: Mapping[str, str] | None = None

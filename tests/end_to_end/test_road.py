@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 import struct
 import time
 from pathlib import Path
@@ -22,6 +23,8 @@ from udflow.cloud.formats import read_cloud
 from udflow.fields.storage import load_field
 
 UTM = np.array([512_000.0, 5_403_000.0, 300.0])
+
+FRAMES = ("", "&frame=world", "&frame=local")
 
 
 def coloured_ply(points: Any) -> bytes:
@@ -109,6 +112,40 @@ def test_map_coordinates_come_back(client: httpx.Client, tmp_path: Path) -> None
     extent = np.abs(local).max()
     assert extent < 1e4, "map coordinates in single precision"
     np.testing.assert_allclose(shift, UTM, atol=1e4)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+def test_the_frame_of_a_mesh_can_be_chosen(
+    suffix: str, client: httpx.Client, tmp_path: Path
+) -> None:
+    job_id = submit(client, sphere(1400) + UTM)
+    assert wait(client, job_id)["state"] == "succeeded"
+    url = f"/v1/jobs/{job_id}/mesh?format="
+    plain, world = client.get(url + suffix), client.get(f"{url}{suffix}&frame=world")
+    assert plain.content == world.content
+    local = client.get(f"{url}{suffix}&frame=local")
+    shift = re.search(rb"shift (\S+) (\S+) (\S+)", local.content[:400])
+    assert shift is not None
+    there = vertices(local.content, tmp_path, suffix).points
+    assert np.abs(there).max() < 1e4
+    whole = vertices(plain.content, tmp_path, suffix).points
+    np.testing.assert_allclose(there + np.array(shift.groups(), float), whole, rtol=0, atol=1e-8)
+    assert "-local." in local.headers["content-disposition"]
+    assert local.headers["etag"] != plain.headers["etag"]
+    rest = client.get(f"{url}{suffix}&frame=local", headers={"range": "bytes=100-"})
+    assert (rest.status_code, rest.content) == (206, local.content[100:])
+    for single in ("glb", "stl"):
+        assert client.get(f"{url}{single}&frame=local").content == client.get(url + single).content
+        refused = client.get(f"{url}{single}&frame=world")
+        assert (refused.status_code, refused.json()["code"]) == (422, "invalid_request")
+        assert refused.json()["errors"][0]["pointer"] == "?frame"
+
+
+def test_near_the_origin_both_frames_are_one(finished: Finished, client: httpx.Client) -> None:
+    for suffix in ("ply", "obj", "glb", "stl"):
+        url = f"/v1/jobs/{finished.id}/mesh?format={suffix}"
+        etags = {client.get(f"{url}{more}").headers["etag"] for more in FRAMES}
+        assert len(etags) == 1
 
 
 def test_the_field_can_be_taken_home(
