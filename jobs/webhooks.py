@@ -83,6 +83,13 @@ class WebhookQueue:
                 pipe.zadd(keys.WEBHOOKS, {member: delivery.next_at})
             pipe.execute()
 
+    def send_again(self, job_id: str, state: str) -> None:
+        """Have a delivery made now, as if it had never been tried."""
+        with self._redis.pipeline() as pipe:
+            pipe.hdel(keys.webhook_tries(job_id), state)
+            pipe.zadd(keys.WEBHOOKS, {f"{job_id}:{state}": 0})
+            pipe.execute()
+
     def forget(self, job_id: str, state: str) -> None:
         """There is nothing to send: the job was deleted."""
         self._redis.zrem(keys.WEBHOOKS, f"{job_id}:{state}")

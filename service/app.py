@@ -11,6 +11,7 @@ from jobs.settings import Settings
 from service import openapi, page, problems
 from service.gate import Gate
 from service.routes import (
+    deliveries,
     events,
     job_actions,
     jobs,
@@ -67,6 +68,7 @@ def create_app(settings: ServiceSettings | None = None, shared: Settings | None 
     problems.install(app)
     for part in (
         *(scans, uploads, samples, jobs, job_actions, events, results, udf, slices, system),
+        deliveries,
         tickets,
         metrics,
         page,

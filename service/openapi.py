@@ -9,7 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from service.requests import Cancel, Extraction, Slice
+from service.requests import Cancel, Extraction, Redelivery, Slice
 from service.schemas import DistanceAnswer, DistanceQuestion, JobCreate, ProblemBody
 
 _BINARY = {"type": "string", "format": "binary"}
@@ -130,6 +130,7 @@ def document(app: FastAPI) -> dict[str, Any]:
             (JobCreate, "validation"),
             (DistanceQuestion, "validation"),
             (Cancel, "validation"),
+            (Redelivery, "validation"),
             (Extraction, "validation"),
             (Slice, "validation"),
             (DistanceAnswer, "serialization"),

@@ -22,6 +22,14 @@ class Cancel(Strict):
     keep_partial: bool = False
 
 
+class Redelivery(Strict):
+    """Which event to send again; without it the last that happened."""
+
+    event: (
+        Literal["job.started", "job.succeeded", "job.failed", "job.canceled", "job.expired"] | None
+    ) = None
+
+
 class Box(Strict):
     """Two opposite corners in the units and frame of the scan."""
 

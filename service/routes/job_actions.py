@@ -9,18 +9,17 @@ from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
 from jobs.spec import JobRecord, JobSpec, JobState
-from jobs.webhooks import WebhookQueue
 from service.bodies import read_model
 from service.callers import current
 from service.estimates import require_affordable
-from service.job_view import current_view, moment
+from service.job_view import current_view
 from service.openapi import model_body, problems
 from service.problems import Problem
 from service.requests import Cancel, Extraction
 from service.results import result_file
 from service.routes.jobs import find_job
 from service.routes.scans import Force, find_scan
-from service.schemas import DeliveryList, DeliveryState, Job
+from service.schemas import Job
 from service.services import Needs, Services
 from service.submitting import IdempotencyKey, accepted, kept_for, replayed
 
@@ -140,28 +139,6 @@ def _fitted(job_id: str, services: Services) -> JobRecord:
     for name in ("field.safetensors", "points.ply"):
         result_file(record, name, services.store)
     return record
-
-
-@router.get(
-    "/deliveries",
-    operation_id="listDeliveries",
-    summary="What became of the webhooks",
-    response_model=DeliveryList,
-    responses=problems(404, 410, 503),
-)
-def list_deliveries(job_id: str, services: Needs) -> DeliveryList:
-    """The last tries to call the job's webhook, newest first."""
-    find_job(job_id, services)
-    found = WebhookQueue(services.redis).deliveries(job_id)
-    return DeliveryList(
-        deliveries=[
-            DeliveryState(
-                **vars(one)
-                | {"time": moment(one.time), "next_at": one.next_at and moment(one.next_at)}
-            )
-            for one in found
-        ]
-    )
 
 
 @router.delete(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import httpx
@@ -12,9 +13,10 @@ from api_process import ball
 from jobs import keys
 from jobs.ids import new_id
 from jobs.records import JobRecords
-from jobs.spec import JobError, JobState
+from jobs.spec import JobError, JobSpec, JobState
 from jobs.store import FileStore
 from jobs.webhooks import Delivery, WebhookQueue
+from udflow.config import preset, to_dict
 
 
 def code(answer: httpx.Response) -> tuple[int, str]:
@@ -215,3 +217,37 @@ def test_what_became_of_webhooks(
     assert (one["event"], one["status"], one["attempt"]) == ("job.started", 503, 1)
     assert (one["time"], one["next_at"]) == ("2001-09-09T01:46:40Z", "2001-09-09T01:46:45Z")
     redis_client.zrem(keys.WEBHOOKS, f"{queued}:running")
+
+
+def test_a_webhook_can_be_called_again(
+    scan: dict[str, Any], client: httpx.Client, records: JobRecords, redis_client: redis.Redis
+) -> None:
+    spec = JobSpec.new(scan["id"], to_dict(preset("fast")), webhook="https://example.org/hook")
+    records.create(spec)
+    url, queue = f"/v1/jobs/{spec.id}/deliveries", WebhookQueue(redis_client)
+    early = client.post(url)
+    assert code(early) == (422, "invalid_request")
+    assert early.json()["errors"][0]["pointer"] == "#/event"
+    records.claim(spec.id, 1, "test", "cpu")
+    records.finish(spec.id, 1, JobState.FAILED, error=JobError("internal", "broken"))
+    gives_up = Delivery("job.failed", time.time(), 9, 500, None, None)
+    for state in ("running", "failed"):
+        queue.settle(spec.id, state, gives_up)
+    assert redis_client.zscore(keys.WEBHOOKS, f"{spec.id}:failed") is None
+    answer = client.post(url)
+    assert (answer.status_code, len(answer.json()["deliveries"])) == (202, 2)
+    assert redis_client.zscore(keys.WEBHOOKS, f"{spec.id}:failed") == 0
+    assert queue.tried(spec.id, "failed") == 0
+    assert redis_client.zscore(keys.WEBHOOKS, f"{spec.id}:running") is None
+    assert client.post(url, json={"event": "job.started"}).status_code == 202
+    assert redis_client.zscore(keys.WEBHOOKS, f"{spec.id}:running") == 0
+    for body in ({"event": "job.succeeded"}, {"event": "job.paused"}, {"colour": 1}):
+        assert code(client.post(url, json=body)) == (422, "invalid_request")
+    for state in ("running", "failed"):
+        queue.forget(spec.id, state)
+
+
+def test_without_a_webhook_there_is_none_to_call(started: str, client: httpx.Client) -> None:
+    answer = client.post(f"/v1/jobs/{started}/deliveries")
+    assert code(answer) == (422, "invalid_request")
+    assert answer.json()["errors"][0]["code"] == "no_webhook"
