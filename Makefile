@@ -4,13 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 PORT ?= 8000
 
-.PHONY: default setup page up check test fmt clean
+.PHONY: default setup page up check test soak fuzz fmt clean
 default: check test
 
 # Installed once per state of the project's own requirement files.
 $(VENV)/.installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[client,service,s3,dev]"
+	$(BIN)/python -m udflow.compile_loops
 	touch $@
 
 setup: $(VENV)/.installed
@@ -32,6 +33,18 @@ check: setup
 test: page
 	$(BIN)/python web/build.py test
 	$(BIN)/python -m pytest
+
+# What `make test` does in short, for as long as it takes: every fault, 500 jobs, 2 000 submissions.
+soak: setup
+	rm -f soak.txt
+	SOAK=$(CURDIR)/soak.txt $(BIN)/python -m pytest tests/chaos --timeout 7200
+	cat soak.txt
+
+# Ten minutes for every format that is read.
+fuzz: setup
+	rm -f fuzz.txt
+	SOAK=$(CURDIR)/fuzz.txt $(BIN)/python -m pytest tests/fuzz --timeout 36000
+	cat fuzz.txt
 
 fmt: setup
 	$(BIN)/ruff format .

@@ -89,7 +89,9 @@ class JobSpec:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> JobSpec:
-        """The inverse of `to_dict`."""
+        """The inverse of `to_dict`. What a later version has added is left out."""
+        known = {field.name for field in dataclasses.fields(cls)}
+        values = {name: value for name, value in values.items() if name in known}
         tuples = {"wanted": tuple(values.get("wanted", ())), "box": box_of(values.get("box"))}
         return cls(**values | tuples)
 

@@ -82,10 +82,12 @@ class Workshop:
             upload.write("\n".join(" ".join(map(repr, row)) for row in unlike.tolist()).encode())
             return self.store.add_scan(upload, {}).id
 
-    def submit(self, config: dict[str, Any] = QUICK, scan_id: str | None = None) -> str:
-        """The id of a new job, by default on a sphere."""
+    def submit(
+        self, config: dict[str, Any] = QUICK, scan_id: str | None = None, **more: Any
+    ) -> str:
+        """The id of a new job, by default on a sphere. more: of its specification."""
         scan = scan_id or self.scan(Sphere().sample(800).numpy())
-        spec = JobSpec.new(scan, config)
+        spec = JobSpec.new(scan, config, **more)
         return submit(spec, self.records, self.store, self.dispatcher).record.id
 
     def get(self, job_id: str) -> JobRecord:

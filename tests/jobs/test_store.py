@@ -179,3 +179,11 @@ def test_a_file_is_created_only_once(tmp_path: Path) -> None:
     assert path.read_bytes() == b"one"
     assert path.stat().st_mode & 0o777 == 0o600
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_manifest_of_a_later_version_is_understood(store: FileStore) -> None:
+    spec = JobSpec.new(new_id("scan"), {"seed": 1})
+    store.write_job(spec)
+    path = store.root / "jobs" / spec.id / "job.json"
+    write_json(path, read_json(path) | {"colour_of_the_future": "red"})
+    assert store.read_job(spec.id) == spec

@@ -46,7 +46,8 @@ def whole() -> Reconstruction:
     return reconstruct(CLOUD, CONFIG)
 
 
-# reading, then the first fit reports at 0, 100, 200 and 300 iterations, each of the two rounds at 0, 100 and 150
+# reading, then the first fit reports at 0, 100, 200 and 300 iterations, each of the two rounds
+# at 0, 100 and 150
 @pytest.mark.parametrize("steps", [3, 5, 6, 8, 10])
 def test_it_goes_on_bit_for_bit(steps: int, whole: Reconstruction, tmp_path: Path) -> None:
     path = tmp_path / "half.safetensors"
@@ -207,6 +208,15 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
     del tensors["mean"]
     save_file(tensors, path, metadata)
     with pytest.raises(BadCheckpoint, match="not complete"):
+        reconstruct(CLOUD, CONFIG, checkpoint=path)
+
+
+def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "half.safetensors"
+    monkeypatch.setattr("udflow.fit.checkpoint.VERSION", 3)  # as a later release would write it
+    stopped_after(3, path)
+    monkeypatch.undo()
+    with pytest.raises(BadCheckpoint, match="it has version 3"):
         reconstruct(CLOUD, CONFIG, checkpoint=path)
 
 
