@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from redis.exceptions import RedisError
@@ -19,6 +19,7 @@ MAX_PENDING = 512
 # A new job joins the reader's list between two reads, so this bounds how late it can be.
 BLOCK_MS = 250
 RETRY_S = 1.0
+_AT_A_TIME = 5
 
 
 class Overflow(Exception):
@@ -136,7 +137,15 @@ class EventHub:
             if channel is None or channel.last_id != known[job_id]:
                 continue
             for event in events:
+                # who joins from here on reads up to this event without the hub
                 channel.last_id = event.id
-                message = Message.of(event)  # one for all, so that it is encoded once
-                for watcher in channel.watchers:
-                    watcher.offer(message)
+                await _offer(Message.of(event), tuple(channel.watchers))
+
+
+async def _offer(message: Message, watchers: Sequence[Watcher]) -> None:
+    """Hands the same message, which is encoded once, to all of them, a few at a time: between them
+    the process answers others, who would wait for hundreds of sends otherwise."""
+    for start in range(0, len(watchers), _AT_A_TIME):
+        for watcher in watchers[start : start + _AT_A_TIME]:
+            watcher.offer(message)
+        await asyncio.sleep(0)
