@@ -179,6 +179,12 @@ class ObjectStore(FileStore):
             if name != f"a{attempt}":
                 self._delete_all(f"jobs/{job_id}/{name}")
 
+    def checkpoint_path(self, job_id: str, attempt: int) -> Path:
+        """As `FileStore.checkpoint_path`, in a folder that is there."""
+        path = super().checkpoint_path(job_id, attempt)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
     def checkpoints(self, job_id: str, before: int) -> list[int]:
         """As `FileStore.checkpoints`; brings those that are in the bucket."""
         folder = self._job_folder(job_id)
@@ -200,6 +206,8 @@ class ObjectStore(FileStore):
         """As `FileStore.clear_checkpoints`."""
         super().clear_checkpoints(job_id)
         self._delete_all(f"jobs/{job_id}", CHECKPOINT)
+        with suppress(OSError):  # copies of results are in it
+            self._job_folder(job_id).rmdir()
 
     def delete_job(self, job_id: str) -> bool:
         """As `FileStore.delete_job`."""
@@ -212,7 +220,8 @@ class ObjectStore(FileStore):
         """As `FileStore.sweep_temporary`; copies that were not read for so long go, too."""
         removed = super().sweep_temporary(older_than_s)
         limit = time.time() - older_than_s
-        for path in [*self.root.glob("scans/*/data"), *self.root.glob("jobs/*/a*/*")]:
+        patterns = ("scans/*/data", "jobs/*/a*/*", f"jobs/*/{CHECKPOINT}*")
+        for path in [path for pattern in patterns for path in self.root.glob(pattern)]:
             with suppress(FileNotFoundError):
                 if path.stat().st_atime < limit:
                     path.unlink()

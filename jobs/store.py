@@ -265,7 +265,7 @@ class FileStore:
 
     def keep_only_attempt(self, job_id: str, attempt: int) -> None:
         """Remove what other attempts left behind."""
-        for folder in self._job_folder(job_id).glob("a*"):
+        for folder in self._job_folder(job_id).glob("a[0-9]*"):
             if folder.name != f"a{attempt}":
                 shutil.rmtree(folder, ignore_errors=True)
 

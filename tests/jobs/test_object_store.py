@@ -61,6 +61,22 @@ def test_a_scan_is_there_for_all(here: ObjectStore, there: ObjectStore) -> None:
     assert add(here, b"some points") != scan_id
 
 
+def test_another_machine_goes_on_from_a_checkpoint(here: ObjectStore, there: ObjectStore) -> None:
+    job_id = new_id("job")
+    for attempt in (1, 2):
+        here.checkpoint_path(job_id, attempt).write_bytes(b"state %d" % attempt)
+        here.share_checkpoint(job_id, attempt)
+        here.note_attempt(job_id, attempt)
+    assert there.last_attempt(job_id) == 2
+    assert there.checkpoints(job_id, before=3) == [2, 1]
+    assert there.checkpoint_path(job_id, 2).read_bytes() == b"state 2"
+    for store in (there, here):
+        store.clear_checkpoints(job_id)
+        assert store.checkpoints(job_id, before=3) == []
+    assert not (here.root / "jobs" / job_id).exists()
+    assert there.last_attempt(job_id) == 2
+
+
 def test_results_are_there_for_all(here: ObjectStore, there: ObjectStore) -> None:
     spec = JobSpec.new(new_id("scan"), {"seed": 1})
     here.write_job(spec)
