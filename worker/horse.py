@@ -14,6 +14,9 @@ from jobs.processes import die_with_parent
 
 log = logging.getLogger("worker")
 
+_NICE = (
+    10  # a fit takes what is left: beside it the API answers in tens of milliseconds, not hundreds
+)
 _OOM_SCORE = "800"  # when memory runs out the kernel should take the job, not the worker
 
 
@@ -36,6 +39,7 @@ def prepare(parent: int) -> None:
     """First thing after the fork. parent: pid of the worker, whose death ends this process."""
     die_with_parent(parent=parent)
     faulthandler.enable()  # a crash below Python leaves a traceback in the log
+    os.nice(_NICE)
     try:
         Path("/proc/self/oom_score_adj").write_text(_OOM_SCORE)
     except OSError as error:
