@@ -30,8 +30,9 @@ RUN npm run build
 
 FROM python:3.11.14-slim-bookworm
 RUN useradd --uid 10001 --no-create-home --shell /usr/sbin/nologin udflow \
-    && install -d -o 10001 -g 10001 -m 0700 /data
-ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 UDFLOW_DATA=/data
+    && install -d -o 10001 -g 10001 -m 0700 /data /loops
+ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 UDFLOW_DATA=/data \
+    NUMBA_CACHE_DIR=/loops
 # Inside a container loopback reaches nobody, so it listens everywhere, and so it wants UDFLOW_KEY.
 ENV UDFLOW_HOST=0.0.0.0 PORT=8000
 WORKDIR /app
@@ -41,6 +42,8 @@ COPY udflow udflow
 COPY jobs jobs
 COPY service service
 COPY --from=page /build/dist web/dist
+# Kept for the processor that the image is built on; on another one the first start compiles anew.
+RUN python -m udflow.compile_loops && chown -R 10001:10001 /loops
 USER 10001
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=3 \

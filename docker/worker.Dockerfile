@@ -22,14 +22,17 @@ RUN python requirements.py all > all.txt \
 
 FROM python:3.11.14-slim-bookworm
 RUN useradd --uid 10001 --no-create-home --shell /usr/sbin/nologin udflow \
-    && install -d -o 10001 -g 10001 -m 0700 /data
-ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 UDFLOW_DATA=/data
+    && install -d -o 10001 -g 10001 -m 0700 /data /loops
+ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 UDFLOW_DATA=/data \
+    NUMBA_CACHE_DIR=/loops
 WORKDIR /app
 COPY --from=packages /opt/venv /opt/venv
 COPY docker/worker_health.py ./
 COPY udflow udflow
 COPY jobs jobs
 COPY worker worker
+# Kept for the processor that the image is built on; on another one the first start compiles anew.
+RUN python -m udflow.compile_loops && chown -R 10001:10001 /loops
 USER 10001
 HEALTHCHECK --interval=15s --timeout=10s --start-period=60s --retries=3 \
     CMD ["python", "worker_health.py"]

@@ -12,6 +12,7 @@ import redis
 from jobs.errors import BadSetting
 from jobs.logs import configure
 from jobs.settings import Settings
+from udflow.compile_loops import load_loops
 from udflow.errors import UdflowError
 from worker.rq_worker import FitWorker
 
@@ -33,6 +34,7 @@ def main() -> int:
     """The exit code."""
     try:
         configure()
+        load_loops()  # once, for all the processes that this one forks
         settings = Settings.from_env()
         if settings.secret is None:
             # read apart: this process forks, and must not have used the bucket before

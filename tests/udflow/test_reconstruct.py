@@ -15,7 +15,7 @@ from shapes import Hemisphere, MoebiusStrip, Shape, Sphere, Torus
 import udflow
 from udflow.cloud.point_cloud import PointCloud
 from udflow.config import Config, DensifyConfig, ExtractConfig, FlowConfig, SplineConfig, to_dict
-from udflow.errors import Diverged, EmptySurface, InvalidCloud
+from udflow.errors import EmptySurface, InvalidCloud
 from udflow.fields.storage import field_to_bytes
 from udflow.progress import STAGES, Progress
 from udflow.reconstruct import Reconstruction, reconstruct, reconstruct_steps
@@ -250,8 +250,9 @@ def test_a_line_has_no_surface() -> None:
         reconstruct(PointCloud(line), PLAIN)
 
 
-def test_specks_too_small_for_their_distance_are_refused_in_words() -> None:
-    """Two specks a thousand times their size apart: nothing between them can be computed."""
+def test_specks_far_smaller_than_their_distance_keep_distances_right() -> None:
+    """Two specks ten thousand times their size apart, smaller than a voxel."""
     speck = 1e-4 * np.random.default_rng(0).normal(size=(300, 3))
-    with pytest.raises(Diverged, match="differ by many orders of magnitude"):
-        reconstruct(PointCloud(np.concatenate([speck, speck + 1.0])), PLAIN)
+    result = reconstruct(PointCloud(np.concatenate([speck, speck + 1.0])), PLAIN)
+    found = result.field.query(np.array([[0.5, 0.5, 0.5], [0, 0, 0.1]])).distance
+    np.testing.assert_allclose(found, [np.sqrt(0.75), 0.1], atol=5e-4)

@@ -14,16 +14,16 @@ from torch import Tensor
 
 from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, heights_over, normals_at
 
-_TURNED = 0.9  # cosine of normals below which two quadrics are different pieces
-_DISSENT = 0.65  # spacings by which feet that are blended may differ
-_OFF = 0.02  # spacings from a quadric within which a point is on it
-_SAME_PIECE = 0.2  # spacings from a quadric within which a site shows that its piece goes on there
-_ROUNDS = 4
-_LOCAL = 2.0  # spacings from its site up to which a quadric ends other pieces
-_WAY = 1.5  # spacings: where two quadrics meet farther from the foot on one, it is no crease
-_BEHIND = 0.7  # spacings
-_NEAR = 4.0  # spacings from its site beyond which a query cannot tell pieces
-_PARALLEL = 1e-3  # squared sine of the angle of planes below which they do not meet
+TURNED = 0.9  # cosine of normals below which two quadrics are different pieces
+DISSENT = 0.65  # spacings by which feet that are blended may differ
+OFF = 0.02  # spacings from a quadric within which a point is on it
+SAME_PIECE = 0.2  # spacings from a quadric within which a site shows that its piece goes on there
+ROUNDS = 4
+LOCAL = 2.0  # spacings from its site up to which a quadric ends other pieces
+WAY = 1.5  # spacings: where two quadrics meet farther from the foot on one, it is no crease
+BEHIND = 0.7  # spacings
+NEAR = 4.0  # spacings from its site beyond which a query cannot tell pieces
+PARALLEL = 1e-3  # squared sine of the angle of planes below which they do not meet
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Candidates:
 
         Quadrics of another sheet or of the far side of a crease must not pull the foot.
         """
-        dissent = (self.feet - lead[:, None]).norm(dim=2) / (_DISSENT * self.spacing[:, None])
+        dissent = (self.feet - lead[:, None]).norm(dim=2) / (DISSENT * self.spacing[:, None])
         weights = torch.exp(-4 * self.farness - dissent.square()) * allowed
         total = weights.sum(dim=1, keepdim=True).clamp_min(1e-12)
         return (weights[..., None] * self.feet).sum(dim=1) / total
@@ -65,8 +65,8 @@ class Candidates:
     def creased(self) -> Tensor:
         """Indices of the queries whose quadrics belong to different pieces."""
         agreement = (self.normals * self.normals[:, :1]).sum(dim=2).abs()
-        near = (self.points - self.origins[:, 0]).norm(dim=1) < _NEAR * self.spacing
-        return (near & (agreement < _TURNED).any(dim=1)).nonzero().squeeze(1)
+        near = (self.points - self.origins[:, 0]).norm(dim=1) < NEAR * self.spacing
+        return (near & (agreement < TURNED).any(dim=1)).nonzero().squeeze(1)
 
 
 def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
@@ -82,7 +82,7 @@ def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
     beyond, height = _beyond(around, turned, candidates)
     distance = (candidates.feet - candidates.points[:, None]).norm(dim=2)
     # a foot far behind the nearest one is farther than the crease between them
-    close = distance < distance.amin(dim=1, keepdim=True) + _BEHIND * candidates.spacing[:, None]
+    close = distance < distance.amin(dim=1, keepdim=True) + BEHIND * candidates.spacing[:, None]
     valid = ~beyond.any(dim=1) & close
     lead = torch.where(valid, distance, torch.inf).argmin(dim=1)
     row = torch.arange(len(lead), device=lead.device)
@@ -96,7 +96,7 @@ def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
     two = quadrics[candidates.quadrics.view(-1, count)[none, crossed]]
     crease = _on_both(one, two, candidates.points[none], candidates.feet[none, 0])
     lone = candidates[none].blended(candidates.feet[none, 0], torch.ones_like(valid[none]))
-    astray = (crease - lone).norm(dim=1) > _WAY * candidates.spacing[none]
+    astray = (crease - lone).norm(dim=1) > WAY * candidates.spacing[none]
     foot[none] = torch.where(astray[:, None], lone, crease)
     return foot
 
@@ -111,7 +111,7 @@ def _turned(around: LocalQuadrics, candidates: Candidates) -> Tensor:
     there = candidates.origins[:, None].expand(-1, count, -1, -1).reshape(-1, 3)
     led_to = normals_at(each, there).view(-1, count, count, 3)
     agreement = (led_to * candidates.normals[:, None]).sum(dim=3).abs()
-    return torch.maximum(agreement, agreement.transpose(1, 2)) < _TURNED
+    return torch.maximum(agreement, agreement.transpose(1, 2)) < TURNED
 
 
 def _beyond(around: LocalQuadrics, turned: Tensor, candidates: Candidates) -> tuple[Tensor, Tensor]:
@@ -129,15 +129,15 @@ def _beyond(around: LocalQuadrics, turned: Tensor, candidates: Candidates) -> tu
     of_foot, of_site = height[..., :count], height[..., count:]
     spacing = candidates.spacing[:, None, None]
     # the side on which piece j lies: that of its sites, for its own may be on the crease itself
-    on_piece = ((of_site.abs() < _SAME_PIECE * spacing) & ~turned).transpose(1, 2).float()
-    side = torch.where(of_site.abs() > _OFF * spacing, of_site, torch.matmul(of_site, on_piece))
-    off = (of_foot.abs() > _OFF * spacing) & (side.abs() > _OFF * spacing)
+    on_piece = ((of_site.abs() < SAME_PIECE * spacing) & ~turned).transpose(1, 2).float()
+    side = torch.where(of_site.abs() > OFF * spacing, of_site, torch.matmul(of_site, on_piece))
+    off = (of_foot.abs() > OFF * spacing) & (side.abs() > OFF * spacing)
     apart = candidates.feet[:, None] - candidates.origins[:, :, None]
-    local = apart.norm(dim=3) < _LOCAL * spacing
+    local = apart.norm(dim=3) < LOCAL * spacing
     beyond = turned & (of_foot * side < 0) & off & local
 
     # a piece that has a site on the far side as well goes on there: a junction, not a crease
-    clearly = (of_site.abs() > 2 * _OFF * spacing).float() * torch.sign(of_site)
+    clearly = (of_site.abs() > 2 * OFF * spacing).float() * torch.sign(of_site)
     ahead = torch.matmul((clearly > 0).float(), on_piece) > 0
     behind = torch.matmul((clearly < 0).float(), on_piece) > 0
     beyond &= ~torch.where(of_foot > 0, ahead, behind)
@@ -147,7 +147,7 @@ def _beyond(around: LocalQuadrics, turned: Tensor, candidates: Candidates) -> tu
 def _on_both(one: LocalQuadrics, two: LocalQuadrics, points: Tensor, start: Tensor) -> Tensor:
     """The points (n, 3) on both of two quadrics near (n, 3) points, by tangent planes."""
     foot = start
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         on_one, on_two = feet_on_quadrics(one, foot), feet_on_quadrics(two, foot)
         foot = _on_planes(points, on_one, normals_at(one, on_one), on_two, normals_at(two, on_two))
     return foot
@@ -157,6 +157,6 @@ def _on_planes(points: Tensor, on_a: Tensor, a: Tensor, on_b: Tensor, b: Tensor)
     """The nearest points (n, 3) on the lines where planes with normals a and b meet."""
     cosine = (a * b).sum(dim=1)
     over_a, over_b = ((points - on_a) * a).sum(dim=1), ((points - on_b) * b).sum(dim=1)
-    scale = (1 - cosine.square()).clamp_min(_PARALLEL)
+    scale = (1 - cosine.square()).clamp_min(PARALLEL)
     along_a, along_b = (over_a - cosine * over_b) / scale, (over_b - cosine * over_a) / scale
     return points - along_a[:, None] * a - along_b[:, None] * b

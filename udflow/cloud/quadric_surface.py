@@ -8,8 +8,10 @@ import torch
 from torch import Tensor
 
 from udflow.cloud.creases import Candidates, feet_at_creases
-from udflow.cloud.neighbours import NeighbourTree
+from udflow.cloud.neighbours import Neighbours, NeighbourTree
+from udflow.cloud.quadric_loops import project_rows
 from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, fit_width, put
+from udflow.compiled import over_rows
 
 _BLEND = 6  # quadrics that share in a foot
 _REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
@@ -37,6 +39,21 @@ class QuadricSurface:
 
     def _project(self, points: Tensor) -> Tensor:
         near = self.tree.nearest(points, _BLEND)
+        by = self.by_tensors if points.is_cuda else self.by_loop
+        return by(points, near)
+
+    def by_loop(self, points: Tensor, near: Neighbours) -> Tensor:
+        """Feet of (n, 3) points on the CPU, given the sites near them."""
+        quadrics = self.quadrics
+        feet = torch.empty_like(points)
+        arrays = (points, near.index, near.distance, quadrics.origin, quadrics.frame,
+                  quadrics.coefficients, quadrics.radius, quadrics.spacing)  # fmt: skip
+        ready = [array.contiguous().numpy() for array in arrays]
+        over_rows(project_rows, len(points), *ready, _REACH, feet.numpy())
+        return feet
+
+    def by_tensors(self, points: Tensor, near: Neighbours) -> Tensor:
+        """The same on any device."""
         count = near.index.shape[1]
         quadrics = self.quadrics[near.index.reshape(-1)]
         feet = feet_on_quadrics(quadrics, points[:, None].expand(-1, count, -1).reshape(-1, 3))

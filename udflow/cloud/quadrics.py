@@ -16,9 +16,10 @@ from torch import Tensor
 from udflow.cloud.neighbours import Neighbours, NeighbourTree
 
 _FALLOFF = 2.0  # weight exp(-falloff (distance / radius)^2)
-_PATCH = 2.0  # radii from its sample beyond which a quadric is not followed
+PATCH = 2.0  # radii from its sample beyond which a quadric is not followed
 # A breath of regularisation keeps collinear neighbourhoods solvable and flat ones flat.
 _RIDGE = (1e-6, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3)
+NEWTON_STEPS = 2  # to the foot
 _CHUNK = 1 << 15
 
 
@@ -145,7 +146,7 @@ def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:
     # scaled, so that tiny neighbourhoods do not underflow in single precision
     scale = covariance.diagonal(dim1=1, dim2=2).sum(dim=1).clamp_min(1e-30)
     _, vectors = torch.linalg.eigh(covariance / scale[:, None, None])
-    return vectors.flip(dims=(2,)).transpose(1, 2)
+    return vectors.flip(dims=(2,)).transpose(1, 2).contiguous()
 
 
 def _monomials(u: Tensor, v: Tensor) -> Tensor:
@@ -171,7 +172,9 @@ def normals_at(quadrics: LocalQuadrics, points: Tensor) -> Tensor:
     return normal / normal.norm(dim=1, keepdim=True)
 
 
-def feet_on_quadrics(quadrics: LocalQuadrics, queries: Tensor, newton_steps: int = 2) -> Tensor:
+def feet_on_quadrics(
+    quadrics: LocalQuadrics, queries: Tensor, newton_steps: int = NEWTON_STEPS
+) -> Tensor:
     """The nearest point on quadric i of query i, by Newton steps in the frame.
 
     From far away a step may overshoot along a curved patch: of the foot, the point half-way to
@@ -205,7 +208,7 @@ def feet_on_quadrics(quadrics: LocalQuadrics, queries: Tensor, newton_steps: int
         determinant = uu * vv - uv * uv
         u = u - (vv * gradient_u - uv * gradient_v) / determinant
         v = v - (uu * gradient_v - uv * gradient_u) / determinant
-        u, v = u.clamp(-_PATCH, _PATCH), v.clamp(-_PATCH, _PATCH)
+        u, v = u.clamp(-PATCH, PATCH), v.clamp(-PATCH, PATCH)
     best = _lifted(quadrics.coefficients, u, v)
     for share in (0.5, 0.0):
         nearer = _lifted(quadrics.coefficients, share * u, share * v)

@@ -9,21 +9,17 @@ true borders exist: a face can outweigh the evidence only up to a limit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from udflow.mesh.lattice import dilated, find, reversed_links, shifted
+from udflow.mesh.messages import PLANES, Patch, passing
 from udflow.mesh.topology import parts
 
-PLANES = ((0, 1), (0, 2), (1, 2))
 REACH = 3  # vertices around an odd face that take part
 ITERATIONS = 60
 PATIENCE = 12  # iterations without fewer odd faces before giving up: a true border stays odd
-LIMIT = 12.0  # most that one face can say
-DAMPING = 0.2
 SUCCESS = 0.5  # share of its odd faces that a region may keep
 PLAIN_REPAIRS = 6
 _ABSENT = 30.0  # evidence for "not crossed" where an edge leaves the band
@@ -64,8 +60,8 @@ class Decoder:
         self._ahead = ahead
         self._member = (source >= 0).nonzero()[:, 0]
         self._source = source[self._member]
-        self._patch = _Patch.of(patch_keys)
-        self._messages = [evidence.new_zeros(4, len(patch_keys) + 1) for _ in PLANES]
+        self._patch = Patch.of(patch_keys)
+        self._messages = evidence.new_zeros(len(patch_keys) + 1, 3, 4)
 
     def flags(self, evidence: Tensor) -> Tensor:
         """(n, 3) crossed edges with as many even faces as the evidence allows."""
@@ -73,7 +69,7 @@ class Decoder:
         if len(self._source) == 0:
             return flags
         exists = self._ahead[self._source] >= 0
-        local = evidence.new_full((self._patch.count, 3), _ABSENT)
+        local = evidence.new_full((self._patch.count + 1, 3), _ABSENT)
         local[self._member] = torch.where(exists, evidence[self._source], _ABSENT)
         decided = _decode(self._patch, local, self._messages)
         flags[self._source] = decided[self._member] & exists
@@ -151,78 +147,16 @@ def _with_edges(keys: Tensor, candidates: Tensor) -> Tensor:
     return candidates[matters]
 
 
-@dataclass(frozen=True)
-class _Patch:
-    """Neighbours inside a set of `count` vertices; `count` itself stands for an absent vertex."""
-
-    count: int
-    ahead: tuple[Tensor, ...]
-    behind: tuple[Tensor, ...]
-    complete: tuple[Tensor, ...]
-
-    @classmethod
-    def of(cls, keys: Tensor) -> _Patch:
-        count = len(keys)
-        ahead: list[Tensor] = []
-        behind: list[Tensor] = []
-        for axis in range(3):
-            for by, indices in ((1, ahead), (-1, behind)):
-                place = find(keys, shifted(keys, axis, by))
-                indices.append(torch.where(place < 0, count, place))
-        complete = tuple((ahead[p] < count) & (ahead[q] < count) for p, q in PLANES)
-        return cls(count, tuple(ahead), tuple(behind), complete)
-
-
-def _decode(patch: _Patch, evidence: Tensor, messages: list[Tensor]) -> Tensor:
-    """(m, 3) flags after message passing; evidence (m, 3) is negative for "crossed"."""
-    own = [torch.cat([column, column.new_full((1,), _ABSENT)]) for column in evidence.unbind(1)]
-    best, fewest, since = evidence < 0, 3 * patch.count + 1, 0
+def _decode(patch: Patch, evidence: Tensor, messages: Tensor) -> Tensor:
+    """(m, 3) flags after message passing; evidence (m + 1, 3) is negative for "crossed"."""
+    state = passing(patch, evidence, messages)
+    best, fewest, since = evidence[:-1] < 0, 3 * patch.count + 1, 0
     for _ in range(ITERATIONS):
-        belief = _belief(patch, own, messages)
-        odd = _count_odd(patch, belief)
+        odd = state.believe()
         since += 1
         if odd < fewest:
-            best, fewest, since = torch.stack([b[:-1] < 0 for b in belief], dim=1), odd, 0
+            best, fewest, since = state.belief[:-1] < 0, odd, 0
         if odd == 0 or since > PATIENCE:
             break
-        for plane, (p, q) in enumerate(PLANES):
-            heard = _at_corners(patch, belief, p, q) - messages[plane][:, :-1]
-            said = _check(heard) * patch.complete[plane]
-            messages[plane][:, :-1].mul_(DAMPING).add_(said, alpha=1 - DAMPING)
+        state.tell()
     return best
-
-
-def _belief(patch: _Patch, own: list[Tensor], messages: list[Tensor]) -> list[Tensor]:
-    """Per axis (m + 1,): an edge's own evidence and what its four faces say."""
-    belief = [column.clone() for column in own]
-    for message, (p, q) in zip(messages, PLANES, strict=True):
-        belief[p][:-1] += message[0, :-1] + message[3][patch.behind[q]]
-        belief[q][:-1] += message[1, :-1] + message[2][patch.behind[p]]
-    return belief
-
-
-def _at_corners(patch: _Patch, values: list[Tensor], p: int, q: int) -> Tensor:
-    """(4, m) values of the edges of each face: two from its vertex, two opposite."""
-    here_p, here_q = values[p][:-1], values[q][:-1]
-    return torch.stack([here_p, here_q, values[q][patch.ahead[p]], values[p][patch.ahead[q]]])
-
-
-def _check(heard: Tensor) -> Tensor:
-    """What a face tells each of its (4, m) edges: the parity of the other three, as sure as the
-    least sure of them."""
-    sign = torch.where(heard < 0, -1.0, 1.0)
-    a, b, c, d = heard.abs().unbind(0)
-    ab, cd = torch.minimum(a, b), torch.minimum(c, d)
-    others = [torch.minimum(b, cd), torch.minimum(a, cd), torch.minimum(ab, d)]
-    sure = torch.stack([*others, torch.minimum(ab, c)]).clamp_max_(LIMIT)
-    return sure * (sign.prod(dim=0) * sign)
-
-
-def _count_odd(patch: _Patch, belief: list[Tensor]) -> int:
-    negative = [values < 0 for values in belief]
-    total = 0
-    for (p, q), whole in zip(PLANES, patch.complete, strict=True):
-        odd = negative[p][:-1] ^ negative[q][:-1]
-        odd ^= negative[q][patch.ahead[p]] ^ negative[p][patch.ahead[q]]
-        total += int((odd & whole).sum())
-    return total

@@ -1,0 +1,48 @@
+"""Loops compiled to machine code, where tensors would take hundreds of small steps.
+
+Only what runs on the CPU is compiled; the tensor code beside each loop serves other devices and is
+what the tests hold the loop against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Thread
+from typing import Any, TypeVar
+
+import numba
+import torch
+
+F = TypeVar("F", bound=Callable[..., Any])
+_LEAST_ROWS = 1 << 10  # worth a thread
+
+
+def compiled(function: F) -> F:
+    """The function as machine code that runs beside other threads.
+
+    The code is kept on disk for later processes, beside the source or, where that is read-only,
+    in the user's cache folder; where neither can be written it is compiled in every process.
+    """
+    try:
+        result: F = numba.njit(function, nogil=True, error_model="numpy", cache=True)
+    except RuntimeError:  # no place for a cache
+        result = numba.njit(function, nogil=True, error_model="numpy")
+    return result
+
+
+def over_rows(loop: Callable[..., None], rows: int, *arguments: Any) -> None:
+    """Runs `loop(start, stop, *arguments)` for all rows, shared among torch's number of threads.
+
+    Args:
+        loop: compiled; writes only what belongs to rows start..stop.
+        rows: how many.
+        arguments: arrays and numbers that all threads see.
+    """
+    count = max(1, min(torch.get_num_threads(), rows // _LEAST_ROWS))
+    ends = [rows * i // count for i in range(count + 1)]
+    others = [Thread(target=loop, args=(ends[i], ends[i + 1], *arguments)) for i in range(1, count)]
+    for thread in others:
+        thread.start()
+    loop(ends[0], ends[1], *arguments)
+    for thread in others:
+        thread.join()
