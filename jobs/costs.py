@@ -1,7 +1,8 @@
 """What a job will take: seconds and memory, from a model that learns on the machine.
 
-The model is linear in the area that is fitted and extracted, in cells, with coefficients from a
-reference machine (`python -m worker.calibrate` measures another one). Each finished job leaves how
+The model is linear in the area that is fitted and extracted, in cells, and for trained fields in
+the products of matrices, with coefficients from a reference machine (`python -m worker.calibrate`
+measures another one). Each finished job leaves how
 far the model was off; the median of what the last jobs left corrects the next estimate, and their
 spread is its error.
 """
@@ -33,7 +34,8 @@ class Workload:
 
     preset: name; kind: "reconstruct" or "extract"; cells: of the finest fit, along the largest
     extent; points: of the scan; rounds: of densification; steps: of the flow; resolution: of the
-    extraction.
+    extraction. Of fields that are trained, 0 for others: weights: of the network's matrices,
+    neurons: in all layers, batch and iterations: of the training; added: points of densification.
     """
 
     preset: str
@@ -43,6 +45,11 @@ class Workload:
     rounds: int
     steps: int
     resolution: int
+    weights: int = 0
+    neurons: int = 0
+    batch: int = 0
+    iterations: int = 0
+    added: int = 0
 
     @classmethod
     def of(cls, scan: Mapping[str, Any], config: Mapping[str, Any], kind: str) -> Workload:
@@ -59,13 +66,25 @@ class Workload:
             rounds=math.ceil(missing / densify["points_per_round"]),
             steps=int(config["flow"]["steps"]),
             resolution=resolution,
+            added=missing,
+            **_network(config),
         )
 
+    @property
+    def is_trained(self) -> bool:
+        """Whether the field is a network."""
+        return self.weights > 0
+
     def seconds(self) -> float:
-        """On the reference machine: two cores of a shared x86-64 server."""
-        extraction = 0.6 + 8.5e-5 * self.resolution**2
+        """On the reference machine: two cores of a shared x86-64 server, of which training uses
+        one."""
+        extraction = 0.6 + (8.5e-5 + 1.1e-8 * self.weights) * self.resolution**2
         if self.kind == "extract":
             return extraction
+        if self.is_trained:
+            step = 0.02 + 9.7e-11 * self.weights * self.batch
+            asked = 3e-9 * self.weights * self.added
+            return 1.5 + self.iterations * step + asked + extraction + 1e-5 * self.points
         fit = (1.2 + 2.7e-4 * self.cells**2) * (0.3 + 0.14 * self.steps)
         return (1 + self.rounds) * fit + extraction + 1e-5 * self.points
 
@@ -73,7 +92,25 @@ class Workload:
         """Bytes of a CPU process at its peak, with everything it has loaded."""
         fit = 60.0 + 8.5e-3 * self.cells**2 if self.kind != "extract" else 0.0
         extraction = 85.0 + 2.2e-3 * self.resolution**2
+        if self.is_trained:
+            layers = 4 * self.neurons * self.batch / _MB  # what one pass leaves in them
+            network = 170.0 + 2.2 * layers + 7e-3 * self.resolution**2
+            return (265.0 + 6e-4 * self.points + network) * _MB
         return (265.0 + 6e-4 * self.points + max(fit, extraction)) * _MB
+
+
+def _network(config: Mapping[str, Any]) -> dict[str, int]:
+    """What training costs depend on; nothing where the field is solved for."""
+    if config.get("field", "spline") == "spline":
+        return {}
+    network, training = config["network"], config["training"]
+    layers, width = int(network["layers"]), int(network["width"])
+    return {
+        "weights": layers * width**2,
+        "neurons": layers * width,
+        "batch": int(training["batch"]),
+        "iterations": int(training["iterations"]),
+    }
 
 
 def _cells(scan: Mapping[str, Any], config: Mapping[str, Any], resolution: int) -> float:
@@ -155,7 +192,8 @@ class Costs:
 
     def _known(self, workload: Workload) -> list[Sample]:
         found = self._redis.lrange(keys.costs(workload.preset, workload.kind), 0, _USED - 1)
-        return [sample_of(json.loads(text)) for text in found]
+        samples = [sample_of(json.loads(text)) for text in found]
+        return [one for one in samples if one.workload.is_trained == workload.is_trained]
 
 
 def sample_of(values: dict[str, Any]) -> Sample:

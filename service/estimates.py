@@ -44,18 +44,23 @@ def require_affordable(
         ),
         None,
     )
-    remedy = (
-        f"extract.resolution {largest} would do"
-        if largest
-        else "send fewer points, or densify less"
-    )
+    remedy, pointer = _remedy(workload, largest)
     raise Problem(
         "job_too_costly",
         f"The job needs {reason}; {remedy}.",
-        errors=[("#/config/extract/resolution", "too_costly", f"{reason}; {remedy}")],
+        errors=[(pointer, "too_costly", f"{reason}; {remedy}")],
         largest=largest,
         estimate=view(estimate).model_dump(mode="json"),
     )
+
+
+def _remedy(workload: Workload, largest: int | None) -> tuple[str, str]:
+    """What would help, in words, and the parameter that it is about."""
+    if largest:
+        return f"extract.resolution {largest} would do", "#/config/extract/resolution"
+    if workload.is_trained:
+        return "lower training.iterations or choose another preset", "#/config/training/iterations"
+    return "send fewer points, or densify less", "#/config/extract/resolution"
 
 
 def view(estimate: Estimate) -> CostEstimate:

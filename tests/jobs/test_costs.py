@@ -35,6 +35,48 @@ def test_the_scan_and_the_parameters_decide() -> None:
     assert workload("extract").seconds() < base.seconds() / 3
 
 
+# what jobs with trained fields took on one thread of the reference machine
+TRAINED = [
+    ("neural", 4000, 48, {"iterations": 200}, 12.4, 457),
+    ("neural", 4000, 96, {"iterations": 200}, 23.2, 508),
+    ("paper", 3000, 32, {"iterations": 20, "warmup": 5}, 15.1, 566),
+    ("paper", 3000, 48, {"iterations": 20, "warmup": 5}, 33.4, 608),
+]
+
+
+@pytest.mark.parametrize(("preset", "points", "resolution", "training", "seconds", "mb"), TRAINED)
+def test_trained_fields_have_a_reference_too(
+    preset: str, points: int, resolution: int, training: dict[str, int], seconds: float, mb: float
+) -> None:
+    changes = {
+        "preset": preset,
+        "extract": {"resolution": resolution},
+        "densify": {"target_points": 0},
+        "training": training,
+    }
+    scan = SCAN | {"unique_points": points}
+    found = Workload.of(scan, to_dict(from_dict(changes)), "reconstruct")
+    assert found.is_trained
+    assert found.seconds() == pytest.approx(seconds, rel=0.35)
+    assert found.memory() / 2**20 == pytest.approx(mb, rel=0.15)
+
+
+def test_training_takes_what_its_iterations_take() -> None:
+    whole = workload(preset="paper")
+    assert whole.seconds() > 5 * 3600
+    half = workload(preset="paper", training={"iterations": 30_000})
+    assert 0.45 < half.seconds() / whole.seconds() < 0.6
+    assert workload("extract", preset="paper").seconds() > 5 * workload("extract").seconds()
+    assert workload(preset="neural").seconds() < whole.seconds() / 10
+
+
+def test_figures_from_before_networks_were_known_teach_nothing_about_them(costs: Costs) -> None:
+    trained = workload(preset="neural")
+    for _ in range(5):
+        costs.remember(Sample(replace(trained, weights=0), "cpu", 1.0, 1e9, 8e9))
+    assert costs.estimate(trained).jobs == 0
+
+
 def test_without_jobs_the_reference_is_told_with_a_wide_range(costs: Costs) -> None:
     estimate = costs.estimate(workload())
     assert estimate.jobs == 0

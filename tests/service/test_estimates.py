@@ -77,3 +77,17 @@ def test_more_than_the_machine_has_is_refused(
     affordable = ask(client, scan, extract={"resolution": problem["largest"]})
     assert affordable.status_code == 200
     assert affordable.json()["estimate"]["jobs"] == 5
+
+
+def test_training_beyond_the_longest_run_is_refused_where_it_is_asked_for(
+    client: httpx.Client, scan: dict[str, Any]
+) -> None:
+    body = {"scan_id": scan["id"], "preset": "paper"}
+    modest = client.post("/v1/jobs?validate_only=true", json=body).json()["estimate"]
+    assert modest["seconds"]["expected"] > 3600
+    assert modest["seconds"]["low"] < modest["seconds"]["expected"] < modest["seconds"]["high"]
+    assert "reference machine" in modest["basis"]
+    endless = body | {"config": {"training": {"iterations": 10_000_000}}}
+    problem = client.post("/v1/jobs", json=endless).json()
+    assert (problem["code"], problem["largest"]) == ("job_too_costly", None)
+    assert problem["errors"][0]["pointer"] == "#/config/training/iterations"
