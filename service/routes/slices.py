@@ -17,7 +17,7 @@ from service.openapi import Answers, model_body, problems
 from service.problems import Problem
 from service.requests import MAX_SLICE, Slice
 from service.results import result_file
-from service.routes.jobs import find_job
+from service.routes.jobs import find_snapshot
 from service.routes.udf import load_stored
 from service.services import Needs, Services
 from service.slices import Plane, picture, plane_of
@@ -87,7 +87,7 @@ def _from_query(values: dict[str, Any]) -> Slice:
 
 
 async def _sliced(job_id: str, wish: Slice, services: Services) -> Response:
-    record = await run_in_threadpool(find_job, job_id, services)
+    record = (await find_snapshot(job_id, services)).record
     stored = await run_in_threadpool(result_file, record, "field.safetensors", services.store)
     field = await load_stored(stored, services.fields)
     scan = await run_in_threadpool(services.store.read_scan, record.scan_id)

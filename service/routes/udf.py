@@ -22,7 +22,7 @@ from service.field_cache import FieldCache
 from service.openapi import problems, udf_answers, udf_request_body
 from service.problems import Problem
 from service.results import ResultFile, result_file
-from service.routes.jobs import find_job
+from service.routes.jobs import find_snapshot
 from service.services import Needs
 from service.udf_input import Question, Wanted, Wire, read_question
 from service.udf_output import MEDIA_TYPES
@@ -60,7 +60,7 @@ async def query_distances(
     `closest`, `valid` when `gradients`, `closest` or `valid` is asked for. Bare little-endian
     numbers go the same way with `?dtype=float32` or `float64`. `Accept` chooses another form.
     """
-    record = await run_in_threadpool(find_job, job_id, services)
+    record = (await find_snapshot(job_id, services)).record
     stored = await run_in_threadpool(result_file, record, "field.safetensors", services.store)
     wanted = Wanted(gradients, closest, valid)
     async with AsyncExitStack() as held:
