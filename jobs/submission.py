@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+
+import redis
+
 from jobs.dispatch import Dispatcher
 from jobs.records import Created, Idempotency, JobRecords
 from jobs.spec import JobSpec
 from jobs.store import FileStore
 from udflow import faults
+
+log = logging.getLogger("jobs")
 
 
 def submit(
@@ -40,5 +46,8 @@ def submit(
     if created.record.id != spec.id:
         store.delete_job(spec.id)
     if not created.record.is_terminal:
-        dispatcher.enqueue(created.record.id, created.record.attempt)
+        try:
+            dispatcher.enqueue(created.record.id, created.record.attempt)
+        except redis.RedisError as error:
+            log.warning("%s is accepted, but not yet offered: %s", created.record.id, error)
     return created

@@ -11,7 +11,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from redis.exceptions import BusyLoadingError
+from redis.exceptions import BusyLoadingError, OutOfMemoryError, ReadOnlyError, ResponseError
 from redis.exceptions import ConnectionError as RedisConnectionError
 from redis.exceptions import TimeoutError as RedisTimeoutError
 from starlette.exceptions import HTTPException
@@ -65,6 +65,7 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "storage_full": (507, "The disk of the service is full"),
 }
 
+_REFUSALS = ("OOM", "MISCONF", "READONLY", "NOREPLICAS")  # as Redis says from inside a script
 _BY_STATUS = {404: "not_found", 405: "method_not_allowed", 413: "body_too_large"}
 
 
@@ -142,6 +143,7 @@ def install(app: FastAPI) -> None:
         app.add_exception_handler(BaseError, _on_store_error)
     for error in (RedisConnectionError, RedisTimeoutError, BusyLoadingError):
         app.add_exception_handler(error, _on_redis_error)
+    app.add_exception_handler(ResponseError, _on_redis_refusal)
     app.add_exception_handler(Exception, _on_bug)
 
 
@@ -219,6 +221,15 @@ async def _on_disconnect(request: Request, _: Exception) -> JSONResponse:
 async def _on_redis_error(request: Request, error: Exception) -> JSONResponse:
     log.error("redis does not answer: %s", error)
     return queue_unavailable().response(request.scope)
+
+
+async def _on_redis_refusal(request: Request, error: Exception) -> JSONResponse:
+    """A Redis that is full, cannot write its file or may not be written to changes nothing."""
+    full = isinstance(error, OutOfMemoryError | ReadOnlyError)
+    if full or any(word in str(error) for word in _REFUSALS):
+        log.error("redis takes nothing: %s", error)
+        return queue_unavailable().response(request.scope)
+    return await _on_bug(request, error)
 
 
 async def _on_store_error(request: Request, error: Exception) -> JSONResponse:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import pytest
 import redis
 
 from jobs.events import Events
@@ -23,6 +24,7 @@ from jobs.store import FileStore
 from udflow.faults import PLACES
 
 SOAK = os.environ.get("SOAK")  # `make soak`: everything, and for long; a file for the figures
+soak_only = pytest.mark.skipif(not SOAK, reason="takes its time; make soak runs it")
 
 # what may follow what; a state that is not here is final
 _AFTER = {
@@ -237,7 +239,7 @@ def in_background(work: Callable[[threading.Event], None]) -> Iterator[None]:
         yield
     finally:
         over.set()
-        thread.join(60.0)
+        thread.join(600.0)
     assert not thread.is_alive()
     if failed:
         raise failed[0]

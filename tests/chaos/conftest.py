@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +24,8 @@ class Ground:
 
     def kill_redis(self, away_s: float = 0.0) -> None:
         """kill -9, and up again."""
-        os.kill(self.shop.connection.info("server")["process_id"], signal.SIGKILL)
+        assert self.server._process is not None
+        self.server._process.kill()
         self.server.stop()
         time.sleep(away_s)
         self.server.start()

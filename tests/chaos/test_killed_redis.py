@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import pytest
 from api_process import Api, ApiProcess, ball
-from chaos_kit import SOAK, History, Line, in_background, say
+from chaos_kit import SOAK, History, Line, in_background, say, soak_only
 
 from jobs.settings import Settings
 from jobs.spec import JobState
@@ -70,18 +70,18 @@ def submit_many(api: Api, count: int, history: History) -> int:
 
 
 def test_no_acknowledged_job_is_lost_when_redis_is_killed(ground: Any, api: Api) -> None:
-    history, chance, kills = History(), random.Random(3), []
+    history, chance, kills, again = History(), random.Random(3), 0, []
 
-    def kill(over: threading.Event) -> None:
-        while not over.wait(chance.uniform(0.3, 0.8)) and len(kills) < KILLS:
-            told = len(history.told)
+    def submit(_: threading.Event) -> None:
+        again.append(submit_many(api, SUBMISSIONS, history))
+
+    with in_background(submit):  # Redis dies with the thread that started it: it is this one
+        while not again and kills < KILLS:
+            time.sleep(chance.uniform(0.3, 0.8))
             ground.kill_redis()
-            kills.append(told)
-
-    with in_background(kill):
-        again = submit_many(api, SUBMISSIONS, history)
+            kills += 1
     shop = ground.shop
-    assert len(kills) >= min(KILLS, 2)
+    assert kills > 1
     assert len(history.jobs()) == SUBMISSIONS
     history.check(shop.records, shop.store, shop.events)
     known = {record.id for record in shop.records.queued()}
@@ -89,7 +89,7 @@ def test_no_acknowledged_job_is_lost_when_redis_is_killed(ground: Any, api: Api)
     for _ in range(2):
         shop.reaper.sweep()
     assert all(shop.dispatcher.is_waiting(job_id, 1) for job_id in history.jobs())
-    say(f"{SUBMISSIONS} submissions, {len(kills)} kills of Redis, {again} repeats: none lost")
+    say(f"{SUBMISSIONS} submissions, {kills} kills of Redis, {again[0]} repeats: none lost")
 
 
 def test_an_emptied_redis_is_filled_from_the_manifests(ground: Any, api: Api) -> None:
@@ -112,6 +112,7 @@ def test_an_emptied_redis_is_filled_from_the_manifests(ground: Any, api: Api) ->
     assert {job["id"] for job in listed} == history.jobs()
 
 
+@soak_only
 def test_a_redis_that_falls_silent_is_said_in_bounded_time(ground: Any) -> None:
     line = Line(ground.server._socket.as_posix())
     shared = Settings(data=ground.shop.settings.data, redis_url=f"redis://127.0.0.1:{line.port}/0")
@@ -147,6 +148,7 @@ def test_an_answer_that_gets_lost_makes_no_second_job(ground: Any, api: Api) -> 
     assert [record.id for record in ground.shop.records.queued()] == [job_id]
 
 
+@soak_only
 def test_a_worker_cut_off_from_redis_ends_itself(ground: Any) -> None:
     """Longer than its lease, so that somebody else has its job; it writes nothing any more."""
     shop, line = ground.shop, Line(ground.server._socket.as_posix())
@@ -169,29 +171,21 @@ def test_a_worker_cut_off_from_redis_ends_itself(ground: Any) -> None:
     line.close()
 
 
+@soak_only
 def test_redis_may_die_again_and_again_while_jobs_run(ground: Any) -> None:
     shop = ground.shop
     shop.start_worker(UDFLOW_LEASE_S="20")
-    jobs = [shop.submit(wanted=("mesh.ply",)) for _ in range(30 if SOAK else 3)]
+    jobs = [shop.submit(wanted=("mesh.ply",)) for _ in range(30)]
     history = History()
     for job_id in jobs:
         history.acknowledged(job_id, job_id)
-    stop = threading.Event()
-
-    def kill(over: threading.Event) -> None:
-        while not over.wait(1.5) and not stop.is_set():
-            ground.kill_redis(away_s=0.3)
-
-    def ended() -> bool:
-        with suppress(OSError, ConnectionError):
-            for _ in range(2):
-                shop.reaper.sweep()
-            return all(shop.get(job_id).is_terminal for job_id in jobs)
-        return False
-
-    with in_background(kill):
-        shop.until(ended, 600.0 if SOAK else 60.0)
-        stop.set()
+    deadline = time.monotonic() + 900.0
+    while not all(shop.get(job_id).is_terminal for job_id in jobs):
+        assert time.monotonic() < deadline
+        time.sleep(1.5)
+        ground.kill_redis(away_s=0.3)
+        for _ in range(2):
+            shop.reaper.sweep()
     history.check(shop.records, shop.store, shop.events)
     assert {shop.get(job_id).state for job_id in jobs} == {JobState.SUCCEEDED}
 
@@ -199,8 +193,7 @@ def test_redis_may_die_again_and_again_while_jobs_run(ground: Any) -> None:
 def test_a_full_redis_refuses_and_keeps_what_it_has(ground: Any, api: Api) -> None:
     shop, scan_id = ground.shop, uploaded(api)
     taken = shop.submit()
-    used = shop.connection.info("memory")["used_memory"]
-    shop.connection.config_set("maxmemory", used)
+    shop.connection.config_set("maxmemory", 1 << 16)  # it has more already
     try:
         answer = httpx.post(f"{api.url}/v1/jobs", json={"scan_id": scan_id}, timeout=30)
         assert (answer.status_code, answer.json()["code"]) == (503, "queue_unavailable")

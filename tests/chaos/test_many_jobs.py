@@ -10,13 +10,13 @@ import time
 from contextlib import suppress
 from typing import Any
 
-from chaos_kit import SOAK, Census, History, in_background, say
+from chaos_kit import Census, History, in_background, say, soak_only
 from shapes import Sphere
 from workshop import Workshop, horse_of
 
 from jobs.spec import JobState
 
-JOBS, KILLS, WARM_UP = (500, 30, 10) if SOAK else (4, 1, 2)
+JOBS, KILLS, WARM_UP = 500, 30, 10
 TINY: dict[str, Any] = {
     "flow": {"steps": 1},
     "spline": {"resolution": 16},
@@ -26,9 +26,10 @@ TINY: dict[str, Any] = {
 MEMORY = 48 << 20  # a worker's heap may settle a little higher than it was
 
 
+@soak_only
 def test_everything_comes_back_to_where_it_was(ground: Any) -> None:
     shop = ground.shop
-    workers = [shop.start_worker() for _ in range(2 if SOAK else 1)]
+    workers = [shop.start_worker() for _ in range(2)]
     pids = [worker.pid for worker in workers] + [shop.connection.info("server")["process_id"]]
     scan = shop.scan(Sphere().sample(150).numpy())
     work_off(shop, scan, WARM_UP, 1)

@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import pytest
 from api_process import Api, ApiProcess, ball
-from chaos_kit import in_background, memory_of, say
+from chaos_kit import in_background, memory_of, say, soak_only
 from websockets.sync.client import connect
 
 from jobs.records import JobRecords
@@ -46,6 +46,7 @@ def job(ground: Any, api: Api) -> str:
     return spec.id
 
 
+@soak_only
 def test_fifty_who_never_read_harm_nobody(ground: Any, api: Api, job: str) -> None:
     server = pid_behind(api.url)
     with (
