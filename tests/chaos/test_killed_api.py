@@ -26,7 +26,7 @@ CHUNK = TUS | {"Content-Type": "application/offset+octet-stream"}
 PIECE = 64 << 10
 POINTS, KILLS = (400_000, 20) if SOAK else (60_000, 2)
 PLACES = ("submit.written", "submit.recorded", "scan.moved", "scan.written", "file.written")
-SHORT = ("submit.recorded", "scan.moved")
+SHORT = ("submit.recorded",)
 
 
 @dataclass

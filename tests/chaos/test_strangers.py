@@ -19,11 +19,11 @@ from jobs.spec import JobSpec, JobState
 TRICKLING = 200
 
 
-@pytest.fixture
-def api(ground: Any) -> Iterator[Api]:
+@pytest.fixture(scope="module")
+def api(lasting: Any) -> Iterator[Api]:
     limits = {"UDFLOW_BODY_TIMEOUT_S": "2"}
-    log = ground.faults.folder.parent / "api.log"
-    with ApiProcess(ground.shop.settings, log, limits) as running:
+    log = lasting.faults.folder.parent / "api.log"
+    with ApiProcess(lasting.shop.settings, log, limits) as running:
         yield running
 
 
@@ -60,8 +60,8 @@ def asked(client: httpx.Client) -> float:
     return time.perf_counter() - began
 
 
-def test_a_download_under_way_outlives_its_job(ground: Any, api: Api) -> None:
-    shop, content = ground.shop, bytes(range(256)) * (40 << 12)  # 40 MB, more than lies on the way
+def test_a_download_under_way_outlives_its_job(lasting: Any, api: Api) -> None:
+    shop, content = lasting.shop, bytes(range(256)) * (40 << 12)  # 40 MB, more than lies on the way
     records: JobRecords = shop.records
     scan = httpx.post(f"{api.url}/v1/scans", content=ball(), timeout=30).json()["id"]
     spec = JobSpec.new(scan, {}, ttl_s=1e-3)
