@@ -15,7 +15,7 @@ from torch import Tensor
 
 from udflow.fields.interface import ProjectiveField
 from udflow.mesh.band import Band, find_band
-from udflow.mesh.lattice import Lattice, find, shifted
+from udflow.mesh.lattice import Lattice, distinct, find, shifted
 
 NEAR = 1.2  # voxels: cells with a corner this near are marched (0.005 at 256 cells in CAP-UDF)
 FAR = 0.01  # unit frame: faces farther from the samples on average are dropped
@@ -50,7 +50,7 @@ def _cells(band: Band, distance: Tensor) -> Tensor:
     """(c, 8) corners of the cells near the surface, those with all corners in the band."""
     lowest = band.keys[distance <= NEAR * band.lattice.step]
     for axis in range(3):
-        lowest = torch.unique(torch.cat([lowest, shifted(lowest, axis, -1)]))
+        lowest = distinct(torch.cat([lowest, shifted(lowest, axis, -1)]))
     columns = []
     for steps in _CORNERS:
         keys = lowest

@@ -71,28 +71,31 @@ def tell(
     most `limit`; `damping` is the share that stays of what it said before.
     """
     absent = len(ahead)
-    renewed = np.float32(1.0 - damping)
-    kept, most = np.float32(damping), np.float32(limit)
-    heard = np.empty(4, np.float32)
+    renewed, kept, most = np.float32(1.0 - damping), np.float32(damping), np.float32(limit)
     for i in range(start, stop):
-        plane = -1
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            plane += 1
-            a, b = ahead[i, p], ahead[i, q]
-            said = messages[i, plane]
-            if a == absent or b == absent:
-                continue
-            heard[0], heard[1] = belief[i, p] - said[0], belief[i, q] - said[1]
-            heard[2], heard[3] = belief[a, q] - said[2], belief[b, p] - said[3]
-            least, second, where, negative = np.float32(np.inf), np.float32(np.inf), 0, False
-            for edge in range(4):
-                sure = abs(heard[edge])
-                negative ^= heard[edge] < 0
-                if sure < least:
-                    least, second, where = sure, least, edge
-                elif sure < second:
-                    second = sure
-            for edge in range(4):
-                word = min(second if edge == where else least, most)
-                odd = negative ^ (heard[edge] < 0)
-                said[edge] = kept * said[edge] + renewed * (-word if odd else word)
+        x, y, z = ahead[i]
+        if x < absent and y < absent:
+            _renew(messages[i, 0], belief[i, 0], belief[i, 1], belief[x, 1], belief[y, 0],
+                   most, kept, renewed)  # fmt: skip
+        if x < absent and z < absent:
+            _renew(messages[i, 1], belief[i, 0], belief[i, 2], belief[x, 2], belief[z, 0],
+                   most, kept, renewed)  # fmt: skip
+        if y < absent and z < absent:
+            _renew(messages[i, 2], belief[i, 1], belief[i, 2], belief[y, 2], belief[z, 1],
+                   most, kept, renewed)  # fmt: skip
+
+
+@compiled
+def _renew(
+    said: Array, a: float, b: float, c: float, d: float, most: float, kept: float, renewed: float
+) -> None:
+    """Renews the four messages of a face whose edges believe a, b, c and d."""
+    a, b, c, d = a - said[0], b - said[1], c - said[2], d - said[3]
+    odd = (a < 0) ^ (b < 0) ^ (c < 0) ^ (d < 0)
+    sure_a, sure_b, sure_c, sure_d = abs(a), abs(b), abs(c), abs(d)
+    ab, cd = min(sure_a, sure_b, most), min(sure_c, sure_d, most)
+    to_a, to_b, to_c, to_d = min(sure_b, cd), min(sure_a, cd), min(ab, sure_d), min(ab, sure_c)
+    said[0] = kept * said[0] + renewed * (-to_a if odd ^ (a < 0) else to_a)
+    said[1] = kept * said[1] + renewed * (-to_b if odd ^ (b < 0) else to_b)
+    said[2] = kept * said[2] + renewed * (-to_c if odd ^ (c < 0) else to_c)
+    said[3] = kept * said[3] + renewed * (-to_d if odd ^ (d < 0) else to_d)
