@@ -9,6 +9,7 @@ import numpy as np
 from udflow.compiled import compiled
 
 Array = Any  # a NumPy array inside a compiled loop
+Single = np.float32
 
 
 @compiled
@@ -87,8 +88,9 @@ def tell(
 
 @compiled
 def _renew(
-    said: Array, a: float, b: float, c: float, d: float, most: float, kept: float, renewed: float
-) -> None:
+    said: Array, a: Single, b: Single, c: Single, d: Single,
+    most: Single, kept: Single, renewed: Single,
+) -> None:  # fmt: skip
     """Renews the four messages of a face whose edges believe a, b, c and d."""
     a, b, c, d = a - said[0], b - said[1], c - said[2], d - said[3]
     odd = (a < 0) ^ (b < 0) ^ (c < 0) ^ (d < 0)
