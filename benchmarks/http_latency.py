@@ -40,19 +40,27 @@ LONG = {  # small steps, so that there is much to tell
     "extract": {"resolution": 64},
 }
 
+_ABOUT = """Service, workers, watchers and the asking client share the cores of one machine. Fits
+run 10 `nice` levels below the rest, as far as there are any: with `niceness` 19 in the settings
+below all are equal, and the figures are upper bounds."""
+
 
 def main() -> None:
     """Run what the command line asks for."""
     options = _options()
     origin = provenance(
-        watchers=options.watchers, fits=options.fits, polls=options.polls, queries=options.queries
+        watchers=options.watchers,
+        fits=options.fits,
+        polls=options.polls,
+        queries=options.queries,
+        niceness=os.getpriority(os.PRIO_PROCESS, 0),
     )
     with _service(options.fits) as url, Client(url, timeout_s=120.0) as client:
         rows = list(_measured(client, url, options))
     table = markdown(("what", "beside it", "result"), rows)
     print(table)
     if options.save:
-        text = f"# Answers over HTTP\n\n{table}\n{provenance_line(origin)}\n"
+        text = f"# Answers over HTTP\n\n{_ABOUT}\n\n{table}\n{provenance_line(origin)}\n"
         save("http_latency", {**origin, "rows": rows}, text)
 
 
