@@ -11,6 +11,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import redis
@@ -148,9 +149,18 @@ class FitWorker(Worker):
             patience.daemon = True
             patience.start()
 
+    def kill_horse(self, sig: signal.Signals = signal.SIGKILL) -> None:
+        """Signal the job's process and what it started. RQ's own takes down this worker with all
+        its group when the process is gone already, or has not left the group yet."""
+        pid = self.horse_pid
+        with suppress(ProcessLookupError):
+            if pid and os.getpgid(pid) == os.getpgrp():
+                os.kill(pid, sig)
+            elif pid:
+                os.killpg(os.getpgid(pid), sig)
+
     def _patience_is_over(self) -> None:
-        if self.horse_pid:
-            self.kill_horse()
+        self.kill_horse()
 
     def maintain_heartbeats(self, job: Job, execution: Execution) -> None:
         """A Redis that is away for a moment must not end the fit."""

@@ -88,5 +88,7 @@ def work_off(shop: Workshop, scan: str, count: int, kills: int) -> int:
 def census(shop: Workshop, pids: list[int]) -> Census:
     """Once the workers are idle again."""
     shop.until(lambda: not shop.records.active(), 20.0)
+    for connection in (shop.connection, shop.raw, shop.dispatcher.connection):
+        connection.connection_pool.disconnect()  # this process's own are not counted
     time.sleep(1.0)
     return Census.of(shop.connection, shop.store.root, pids)

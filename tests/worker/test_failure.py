@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -83,6 +85,24 @@ def test_a_job_of_another_process_is_left_alone(own_shop: Workshop) -> None:
     task = AllowedJob.fetch(task_id(job_id, 1), own_shop.raw, JSONSerializer)
     worker._settle(task, out_of_memory=False)
     assert own_shop.get(job_id).state is JobState.RUNNING
+
+
+def test_a_late_order_to_stop_harms_nobody(
+    own_shop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process it was meant for is gone; its number must not be taken for a group."""
+
+    def killed(group: int, _: int) -> None:
+        raise AssertionError(f"the group {group} would have been killed")
+
+    monkeypatch.setattr(os, "killpg", killed)
+    worker = FitWorker(own_shop.settings)
+    worker.kill_horse()
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    worker._horse_pid = child.pid  # forked, and still in the worker's group
+    worker.kill_horse()
+    assert child.wait(10.0) == -9
+    worker.kill_horse()
 
 
 def test_cores_are_those_that_may_be_used() -> None:
