@@ -124,18 +124,15 @@ def _height(c: Array, u: float, v: float) -> float:
 
 
 @compiled
-def _over(q: int, point: Vector, origin: Array, frame: Array, coefficients: Array,
-          radius: Array) -> float:  # fmt: skip
-    """Height of a point over a quadric, along its own w."""
-    u, v, w = _local(q, point, origin, frame, radius)
-    return (w - _height(coefficients[q], u, v)) * float(radius[q])
+def _over(q: int, local: Vector, coefficients: Array, radius: Array) -> float:
+    """Height of a point in the frame of a quadric over it, along its own w."""
+    return (local[2] - _height(coefficients[q], local[0], local[1])) * float(radius[q])
 
 
 @compiled
-def _normal(q: int, point: Vector, origin: Array, frame: Array, coefficients: Array,
-            radius: Array) -> Vector:  # fmt: skip
-    """Unit normal of a quadric above or below a point."""
-    u, v, _ = _local(q, point, origin, frame, radius)
+def _normal(q: int, local: Vector, frame: Array, coefficients: Array) -> Vector:
+    """Unit normal of a quadric above or below a point in its frame."""
+    u, v, _ = local
     c, axes = coefficients[q], frame[q]
     a = -float(c[1] + 2 * c[3] * u + c[4] * v)
     b = -float(c[2] + c[4] * u + 2 * c[5] * v)
@@ -209,23 +206,26 @@ def _compare(
     near: Array, feet: Array, spacing: float, origin: Array, frame: Array, coefficients: Array,
     radius: Array, of_foot: Array, of_site: Array, turned: Array, beyond: Array,
 ) -> None:  # fmt: skip
-    """Fills in (c, c) for quadrics k and j: heights of j's foot and site over k, whether the two
-    are different pieces, and whether j's foot lies beyond k. See `creases`."""
+    """Fills in (c, c) for quadrics k and j: the height of j's site over k, whether the two are
+    different pieces, and for those the height of j's foot and whether it lies beyond k. See
+    `creases`."""
     count = len(near)
     for k in range(count):
         for j in range(count):
-            site = _row(origin, near[j])
-            of_foot[k, j] = _over(near[k], _row(feet, j), origin, frame, coefficients, radius)
-            of_site[k, j] = _over(near[k], site, origin, frame, coefficients, radius)
-            led_to = _normal(near[k], site, origin, frame, coefficients, radius)
+            site = _local(near[k], _row(origin, near[j]), origin, frame, radius)
+            of_site[k, j] = _over(near[k], site, coefficients, radius)
+            led_to = _normal(near[k], site, frame, coefficients)
             turned[k, j] = abs(_dot(led_to, _row(frame[near[j]], 2))) < TURNED
     for k in range(count):
         for j in range(k):
             turned[k, j] = turned[j, k] = turned[k, j] and turned[j, k]
     for k in range(count):
         for j in range(count):
-            beyond[k, j] = turned[k, j] and _ends(k, j, near, feet, spacing, origin, of_foot,
-                                                  of_site, turned)  # fmt: skip
+            beyond[k, j] = False
+            if turned[k, j]:
+                foot = _local(near[k], _row(feet, j), origin, frame, radius)
+                of_foot[k, j] = _over(near[k], foot, coefficients, radius)
+                beyond[k, j] = _ends(k, j, near, feet, spacing, origin, of_foot, of_site, turned)
 
 
 @compiled
@@ -294,8 +294,8 @@ def _where_two_meet(
     for _ in range(ROUNDS):
         on_one = _foot(one, foot, origin, frame, coefficients, radius)
         on_two = _foot(two, foot, origin, frame, coefficients, radius)
-        a = _normal(one, on_one, origin, frame, coefficients, radius)
-        b = _normal(two, on_two, origin, frame, coefficients, radius)
+        a = _normal(one, _local(one, on_one, origin, frame, radius), frame, coefficients)
+        b = _normal(two, _local(two, on_two, origin, frame, radius), frame, coefficients)
         foot = _on_planes(point, on_one, a, on_two, b)
     lone = _blended(feet, _row(feet, 0), share, spacing)
     astray = _norm(_minus(foot, lone)) > WAY * spacing
