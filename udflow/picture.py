@@ -73,8 +73,8 @@ def mesh_picture(mesh: Mesh, size: tuple[int, int] = (480, 480), view: View | No
     color = _PORCELAIN if mesh.colors is None else (mesh.colors / 255.0) ** 2.2
     shade = np.broadcast_to(color, normal.shape) * _light(normal)[:, None]
     for faces, weights in _covering(corners[:, :2], mesh.faces):
-        place = np.einsum("pc,fcd->fpd", weights, corners[faces]).reshape(-1, 3)
-        light = np.einsum("pc,fcd->fpd", weights, shade[faces]).reshape(-1, 3)
+        place = np.tensordot(weights, corners[faces], axes=(1, 1)).reshape(-1, 3)
+        light = np.tensordot(weights, shade[faces], axes=(1, 1)).reshape(-1, 3)
         canvas.draw(place, light)
     return canvas.finished(relief=0.35)
 
