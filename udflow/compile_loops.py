@@ -10,6 +10,7 @@ import numpy as np
 
 from udflow.cloud.quadric_loops import project_rows
 from udflow.mesh import parity_loops
+from udflow.picture_loops import draw_discs, draw_triangles
 
 
 def load_loops() -> None:
@@ -25,6 +26,9 @@ def load_loops() -> None:
     parity_loops.believe(0, 0, edges, faces, links, edges)
     parity_loops.count_odd(0, 0, edges, links, np.zeros(0, np.uint8))
     parity_loops.tell(0, 0, edges, links, 1.0, 0.0, faces)
+    places, depth, canvas = np.zeros((0, 3)), np.zeros((0, 0)), np.zeros((0, 0, 3))
+    draw_triangles(links, places, places, depth, canvas)
+    draw_discs(places, places, 1.0, depth, canvas)
 
 
 if __name__ == "__main__":

@@ -1,29 +1,25 @@
-"""Pictures of clouds and meshes without a GPU: points in, a z-buffer in numpy, PNG out.
+"""Pictures of clouds and meshes without a GPU: a z-buffer, and PNG out.
 
-Triangles are covered with points finer than the pixels, so that one routine draws both. Three
-pixels in each direction are drawn for one that is kept.
+Three pixels in each direction are drawn for one that is kept.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from udflow.mesh.mesh import Mesh
+from udflow.picture_loops import draw_discs, draw_triangles
 
 Image = NDArray[np.uint8]
 Vectors = NDArray[np.float64]
 
 _FINER = 3  # pixels drawn in each direction for one that is kept
-_COVER = 0.7  # pixels between the points that cover a triangle
 _MARGIN = 0.06  # of the picture, left free on each side
-_MOST_STEPS = 1600  # a triangle is divided into at most so many, squared
-_CHUNK = 2_000_000  # covering points made at a time
 
 
 @dataclass(frozen=True)
@@ -72,10 +68,7 @@ def mesh_picture(mesh: Mesh, size: tuple[int, int] = (480, 480), view: View | No
     normal = _vertex_normals(mesh) @ canvas.view.axes().T
     color = _PORCELAIN if mesh.colors is None else (mesh.colors / 255.0) ** 2.2
     shade = np.broadcast_to(color, normal.shape) * _light(normal)[:, None]
-    for faces, weights in _covering(corners[:, :2], mesh.faces):
-        place = np.tensordot(weights, corners[faces], axes=(1, 1)).reshape(-1, 3)
-        light = np.tensordot(weights, shade[faces], axes=(1, 1)).reshape(-1, 3)
-        canvas.draw(place, light)
+    draw_triangles(mesh.faces, corners, shade, canvas.depth, canvas.light)
     return canvas.finished(relief=0.35)
 
 
@@ -96,9 +89,7 @@ def points_picture(
     canvas = _Canvas(size, view or View.around(points))
     shade = np.broadcast_to(_INK if colors is None else (colors / 255.0) ** 2.2, points.shape)
     place = canvas.projected(points)
-    reach = np.arange(-int(radius * _FINER) - 1, int(radius * _FINER) + 2)
-    for dx, dy in ((x, y) for x in reach for y in reach if np.hypot(x, y) <= radius * _FINER):
-        canvas.draw(place + np.array([dx, dy, 0.0]), shade)
+    draw_discs(place, np.ascontiguousarray(shade), radius * _FINER, canvas.depth, canvas.light)
     return canvas.finished(relief=0.5)
 
 
@@ -144,22 +135,6 @@ def _vertex_normals(mesh: Mesh) -> Vectors:
     return normals
 
 
-def _covering(
-    corners: Vectors, faces: NDArray[np.int64]
-) -> Iterator[tuple[NDArray[np.int64], Vectors]]:
-    """Faces that need the same number of points, with the barycentric weights of these."""
-    edges = corners[faces] - corners[np.roll(faces, 1, axis=1)]
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    steps = np.clip(np.ceil(longest / _COVER), 1, _MOST_STEPS).astype(np.int64)
-    for count in np.unique(steps):
-        chosen = faces[steps == count]
-        i, j = np.triu_indices(count + 1)
-        weights = np.stack([i, j - i, count - j], axis=1) / count
-        together = max(1, _CHUNK // len(weights))
-        for start in range(0, len(chosen), together):
-            yield chosen[start : start + together], weights
-
-
 class _Canvas:
     """A z-buffer with linear light."""
 
@@ -167,32 +142,18 @@ class _Canvas:
         self.view = view
         self.width, self.height = size[0] * _FINER, size[1] * _FINER
         self._scale = (1 - 2 * _MARGIN) * min(self.width, self.height) / view.extent
-        self._depth = np.full(self.width * self.height, -np.inf)
-        self._light = np.zeros((self.width * self.height, 3), np.float32)
+        self.depth = np.full((self.height, self.width), -np.inf)
+        self.light = np.zeros((self.height, self.width, 3))
 
     def projected(self, points: Vectors) -> Vectors:
         """(n, 3): column, row (downwards) and nearness, all in drawn pixels."""
         seen = (points - np.array(self.view.centre)) @ self.view.axes().T * self._scale
         return seen * [1.0, -1.0, 1.0] + [self.width / 2, self.height / 2, 0.0]
 
-    def draw(self, place: Vectors, light: Vectors) -> None:
-        """Points that win over what is there if they are nearer."""
-        column, row = np.floor(place[:, :2]).astype(np.int64).T
-        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
-        pixel = (row * self.width + column)[inside]
-        near, shade = place[inside, 2], light[inside]
-        order = np.argsort(near, kind="stable")  # the nearest is written last, and stays
-        pixel, near, shade = pixel[order], near[order], shade[order]
-        np.maximum.at(self._depth, pixel, near)
-        winner = near >= self._depth[pixel]
-        self._light[pixel[winner]] = shade[winner]
-
     def finished(self, relief: float) -> Image:
         """The picture at its own size; what lies behind its neighbours is darkened."""
-        depth = self._depth.reshape(self.height, self.width)
-        light = self._light.reshape(self.height, self.width, 3).astype(np.float64)
-        light *= self._shadow(depth, relief)[..., None]
-        covered = np.isfinite(depth).astype(np.float64)
+        light = self.light * self._shadow(self.depth, relief)[..., None]
+        covered = np.isfinite(self.depth).astype(np.float64)
         share = _smaller(covered)
         mean = np.stack([_smaller(light[..., i] * covered) for i in range(3)], axis=-1)
         mean /= np.where(share > 0.0, share, 1.0)[..., None]
