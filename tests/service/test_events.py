@@ -155,7 +155,7 @@ def test_many_watch_one_job(started: str, api: Api, records: JobRecords) -> None
         assert rest(one) == rest(two)
 
 
-@pytest.mark.parametrize("job_id", ["nope", new_id("job")])
+@pytest.mark.parametrize("job_id", ["nope", new_id("job")], ids=["nope", "new"])
 def test_unknown_jobs_close_with_4404(job_id: str, api: Api) -> None:
     with watching(api, job_id) as socket:
         assert rest(socket) == ([], 4404)

@@ -131,7 +131,9 @@ def test_a_body_of_a_megabyte_is_no_job(client: httpx.Client) -> None:
     assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
 
 
-@pytest.mark.parametrize("scan_id", ["nope", new_id("scan"), "../../etc"])
+@pytest.mark.parametrize(
+    "scan_id", ["nope", new_id("scan"), "../../etc"], ids=["nope", "new", "path"]
+)
 def test_a_job_needs_its_scan(scan_id: str, client: httpx.Client) -> None:
     answer = client.post("/v1/jobs", json={"scan_id": scan_id})
     assert (answer.status_code, answer.json()["code"]) == (404, "scan_not_found")
@@ -154,7 +156,9 @@ def test_the_same_request_twice_is_one_job(client: httpx.Client, scan: dict[str,
 
 
 @pytest.mark.parametrize("part", ["", "/events", "/mesh", "/points", "/field", "/report"])
-@pytest.mark.parametrize("job_id", ["nope", new_id("job"), new_id("scan")])
+@pytest.mark.parametrize(
+    "job_id", ["nope", new_id("job"), new_id("scan")], ids=["nope", "job", "scan"]
+)
 def test_unknown_jobs(job_id: str, part: str, client: httpx.Client) -> None:
     answer = client.get(f"/v1/jobs/{job_id}{part}")
     assert (answer.status_code, answer.json()["code"]) == (404, "job_not_found")
