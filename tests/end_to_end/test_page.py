@@ -32,7 +32,7 @@ from worker.frames import points_frame
 WEB = ROOT / "web"
 BUDGET = 250_000  # bytes before data
 FRAMES = 500
-POINTS = 30_000
+POINTS = 12_000
 
 pytestmark = pytest.mark.timeout(400)
 Walk = Callable[..., dict[str, Any]]

@@ -47,7 +47,7 @@ def test_a_second_cancel_gives_the_mesh_up(shop: Workshop) -> None:
     shop.records.request_cancel(job_id)
     record = shop.reaches(job_id, JobState.CANCELED)
     assert record.outputs == {}
-    assert not list((shop.store.root / "jobs" / job_id).glob("a*"))
+    assert not list((shop.store.root / "jobs" / job_id).glob("a[0-9]*"))
 
 
 def test_only_the_wanted_files_are_made(shop: Workshop) -> None:

@@ -78,7 +78,7 @@ def test_a_canceled_fit_stops_by_itself(shop: Workshop) -> None:
     assert asked.state is JobState.CANCELING
     shop.reaches(job_id, JobState.CANCELED)
     assert shop.states(job_id) == ["queued", "running", "canceling", "canceled"]
-    assert not list((shop.store.root / "jobs" / job_id).glob("a*"))
+    assert not list((shop.store.root / "jobs" / job_id).glob("a[0-9]*"))
 
 
 def test_a_job_canceled_in_the_queue_never_starts(shop: Workshop) -> None:
