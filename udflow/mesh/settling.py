@@ -14,6 +14,7 @@ from udflow.mesh.mesh import Mesh
 from udflow.mesh.topology import edges_of
 
 _TOLERANCE = 0.1  # voxels off the surface that nobody sees
+_ASTRAY = 0.4  # voxels off the surface, after all, that show that there is none
 _STEPS = 3
 _FRONTS = 4  # rounds in which vertices that came to rest hold further ones
 _SHARES = (0.5, 0.2, 0.05)  # of the way to a neighbour that are left to a vertex that never settles
@@ -25,6 +26,7 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
     Closing small holes and smoothing rims leave vertices beside the surface; a field that is asked
     at a vertex should answer that it is there. Where feet jump to and fro, as at the end of a
     crease, a vertex has no foot to rest on; it is drawn to a neighbour that has one.
+    What never comes to rest, as between samples that are far apart, is left out.
 
     Args:
         mesh: in the unit frame.
@@ -51,15 +53,34 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
     result = mesh.vertices.copy()
     changed = (vertices != before).any(dim=1).cpu().numpy()
     result[changed] = vertices.cpu().numpy()[changed]
-    return replace(mesh, vertices=result)
+    astray = _unsettled(field, vertices, moving, voxel, _ASTRAY).cpu().numpy()
+    return _without(replace(mesh, vertices=result), astray)
 
 
-def _unsettled(field: ProjectiveField, vertices: Tensor, chosen: Tensor, voxel: float) -> Tensor:
+def _without(mesh: Mesh, dropped: NDArray[np.int64]) -> Mesh:
+    """The mesh without some vertices and the faces at them."""
+    gone = np.zeros(len(mesh.vertices), dtype=bool)
+    gone[dropped] = True
+    faces = mesh.faces[~gone[mesh.faces].any(axis=1)]
+    if len(dropped) == 0 or len(faces) == 0:
+        return mesh
+    used, numbers = np.unique(faces, return_inverse=True)
+    colors = None if mesh.colors is None else mesh.colors[used]
+    return Mesh(mesh.vertices[used], numbers.reshape(-1, 3), colors)
+
+
+def _unsettled(
+    field: ProjectiveField,
+    vertices: Tensor,
+    chosen: Tensor,
+    voxel: float,
+    tolerance: float = _TOLERANCE,
+) -> Tensor:
     """Those of the chosen vertices that are farther from their feet than the tolerance."""
     if len(chosen) == 0:
         return chosen
     off = (field.project(vertices[chosen]) - vertices[chosen]).norm(dim=1)
-    return chosen[off > _TOLERANCE * voxel]
+    return chosen[off > tolerance * voxel]
 
 
 def _draw_to_neighbours(

@@ -55,3 +55,19 @@ def test_a_vertex_without_a_foot_to_rest_on_is_drawn_to_a_neighbour_that_has_one
     hub = torch.from_numpy(result.vertices[:1]).float()
     assert float((field.project(hub) - hub).norm()) <= 0.1 * VOXEL
     assert np.linalg.norm(result.vertices[0]) < 1.1 * VOXEL
+
+
+def test_what_never_comes_to_rest_is_left_out() -> None:
+    restless, quiet = fan(0.5 * VOXEL), fan(0.0)
+    away = quiet.vertices + np.array([1.0, 0.0, 0.0])
+    faces = np.concatenate([restless.faces, quiet.faces + len(restless.vertices)])
+    both = Mesh(np.concatenate([restless.vertices, away]), faces)
+    result = settled(both, Floor(restless=2 * VOXEL), VOXEL, torch.device("cpu"))
+    np.testing.assert_allclose(result.vertices, away)
+    np.testing.assert_array_equal(result.faces, quiet.faces)
+
+
+def test_a_mesh_of_which_nothing_rests_stays_whole() -> None:
+    mesh = fan(0.5 * VOXEL)
+    result = settled(mesh, Floor(restless=2 * VOXEL), VOXEL, torch.device("cpu"))
+    np.testing.assert_array_equal(result.faces, mesh.faces)
