@@ -32,7 +32,7 @@ check: setup
 
 test: page
 	$(BIN)/python web/build.py test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --durations 15
 
 # What `make test` does in short, for as long as it takes: every fault, 500 jobs, 2 000 submissions.
 soak: setup
