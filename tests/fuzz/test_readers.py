@@ -45,7 +45,7 @@ def test_what_once_crashed_a_reader_is_told_in_words(tmp_path: Path) -> None:
 def test_damaged_files_of_every_format(tmp_path: Path) -> None:
     if not SOAK:
         found = harness("fuzz", SECONDS, tmp_path, *FORMATS)
-        assert found["examples"] > 5 * len(FORMATS)
+        assert found["examples"] >= len(FORMATS)
         return
 
     def one(name: str) -> dict[str, Any]:
