@@ -1,6 +1,6 @@
 /** What the page as a whole knows: where it is, how it looks, what the service can do. */
 
-import { effect, signal } from "@preact/signals";
+import { signal } from "@preact/signals";
 import {
   getInfo,
   getSamples,
@@ -38,6 +38,7 @@ export function go(next: Route): void {
 }
 
 export function setTheme(next: Theme): void {
+  document.documentElement.dataset.theme = next; // first: the picture asks the style for colours
   theme.value = next;
   localStorage.setItem(THEME, next);
 }
@@ -62,12 +63,19 @@ export async function loadStart(): Promise<void> {
   }
 }
 
-/** Follows address bar and theme from now on. */
+/** A colour of the style sheet as it is now, for what is drawn outside of it. */
+export function colorNow(name: string): string {
+  const { style } = document.documentElement;
+  style.setProperty("outline-color", `var(${name})`);
+  const found = getComputedStyle(document.documentElement).outlineColor;
+  style.removeProperty("outline-color");
+  return found;
+}
+
+/** Follows the address bar from now on. */
 export function begin(): void {
+  document.documentElement.dataset.theme = theme.value;
   addEventListener("hashchange", () => {
     route.value = routeOf(location.hash);
-  });
-  effect(() => {
-    document.documentElement.dataset.theme = theme.value;
   });
 }

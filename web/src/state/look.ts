@@ -1,11 +1,10 @@
 /** How the picture is drawn, as far as people choose it. */
 
-import { computed, signal } from "@preact/signals";
+import { computed, type Signal, signal } from "@preact/signals";
 import { getSlice, Problem } from "../net/api";
 import type { MapName } from "../pure/colormap";
 import { quantile } from "../pure/histogram";
 import { readSlice, type Slice } from "../pure/slice";
-import type { MeshColors } from "../viewer/surface";
 import type { Hover } from "../viewer/viewer";
 import { compare, compared, job, scan } from "./job";
 
@@ -15,7 +14,7 @@ export type Axis = "x" | "y" | "z";
 export const shown = signal<Shown>("both");
 export const wireframe = signal(false);
 export const flat = signal(false);
-export const meshColors = signal<MeshColors>("plain");
+export const normals = signal(false);
 export const scanColors = signal(true);
 export const heat = signal(false);
 export const map = signal<MapName>("viridis");
@@ -51,13 +50,22 @@ export const sliceAt = computed(() => {
   return about.low[axis] + slicePlace.value * (about.high[axis] - about.low[axis]);
 });
 
+/** On to off, and back. */
+export function flip(choice: Signal<boolean>): void {
+  choice.value = !choice.value;
+}
+
+export function toggleSplit(): void {
+  split.value = split.value === null ? 0.5 : null;
+}
+
 export function toggleHeat(): void {
-  heat.value = !heat.value;
+  flip(heat);
   if (heat.value) compare();
 }
 
 export function toggleSlice(): void {
-  slicing.value = !slicing.value;
+  flip(slicing);
   if (slicing.value) askForSlice();
 }
 

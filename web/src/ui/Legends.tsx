@@ -5,7 +5,6 @@ import { length, placeWithin } from "../pure/format";
 import { draft } from "../state/draft";
 import { compared, frames, result, scan } from "../state/job";
 import * as look from "../state/look";
-import { inkNow } from "./Stage";
 
 export function Legends() {
   return (
@@ -25,7 +24,7 @@ function RoundLegend() {
   return (
     <div class="legend" role="img" aria-label={`Points by round, 1 to ${frame.rounds}`}>
       <p>
-        <i class="dot" style={{ background: inkNow() }} /> measured
+        <i class="dot" /> measured
       </p>
       <p class="scale-title">added in round</p>
       <i

@@ -6,12 +6,12 @@ import { bounds } from "../pure/distance";
 import { length } from "../pure/format";
 import type { Frame } from "../pure/frame";
 import { heroFrame, heroPoints, heroRounds } from "../pure/hero";
-import { isDark, prefersDark, prefersStill, route, theme } from "../state/app";
+import { colorNow, prefersDark, prefersStill, route, theme } from "../state/app";
 import { draft, preview, reading } from "../state/draft";
 import { compared, frames, job, result, scan } from "../state/job";
 import * as look from "../state/look";
 import type { Vector } from "../viewer/space";
-import { type Look, Viewer } from "../viewer/viewer";
+import { type Look, type Palette, Viewer } from "../viewer/viewer";
 import { Legends } from "./Legends";
 import { SplitHandle } from "./SplitHandle";
 import { Toolbar } from "./Toolbar";
@@ -20,10 +20,6 @@ export const viewer = signal<Viewer | null>(null);
 const lost = signal(false);
 const unable = signal<string | null>(null);
 const HERO_STEP_MS = 60;
-const PALETTES = {
-  light: { background: "#f0eeea", ink: "#2c4350", plain: "#dcdbd6" },
-  dark: { background: "#0f1214", ink: "#a9bcc4", plain: "#b9bcbb" },
-};
 
 export function Stage() {
   const canvas = useRef<HTMLCanvasElement>(null);
@@ -95,7 +91,7 @@ function attach(canvas: HTMLCanvasElement): (() => void) | undefined {
     lost.value = gone;
   };
   viewer.value = made;
-  const repaint = () => made.setPalette(PALETTES[isDark() ? "dark" : "light"]);
+  const repaint = () => made.setPalette(paletteNow());
   prefersDark.addEventListener("change", repaint);
   const stops = [
     effect(() => {
@@ -243,11 +239,14 @@ function lookNow(): Look {
 }
 
 function meshColorsNow(inColor: boolean): Look["meshColors"] {
-  if (look.meshColors.value === "normals") return "normals";
+  if (look.normals.value) return "normals";
   return inColor ? "scan" : "plain";
 }
 
-/** CSS of the ink that measured points are drawn in. */
-export function inkNow(): string {
-  return PALETTES[isDark() ? "dark" : "light"].ink;
+function paletteNow(): Palette {
+  return {
+    background: colorNow("--stage"),
+    ink: colorNow("--measured"),
+    plain: colorNow("--surface"),
+  };
 }

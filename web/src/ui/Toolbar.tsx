@@ -1,5 +1,6 @@
 /** What the picture shows. Every tool is a button, and has a key. */
 
+import type { Signal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
 import { preview } from "../state/draft";
 import { frames, result, scan } from "../state/job";
@@ -48,43 +49,12 @@ function ShownTools() {
 
 function MeshTools() {
   const hasColors = scan.value?.has_colors ?? false;
-  const isNormals = look.meshColors.value === "normals";
   return (
     <Group label="Mesh">
-      <Tool
-        label="Wire"
-        keys="W"
-        on={look.wireframe.value}
-        press={() => {
-          look.wireframe.value = !look.wireframe.value;
-        }}
-      />
-      <Tool
-        label="Normals"
-        keys="N"
-        on={isNormals}
-        press={() => {
-          look.meshColors.value = isNormals ? "plain" : "normals";
-        }}
-      />
-      <Tool
-        label="Flat"
-        keys="L"
-        on={look.flat.value}
-        press={() => {
-          look.flat.value = !look.flat.value;
-        }}
-      />
-      {hasColors && (
-        <Tool
-          label="Colour"
-          keys="C"
-          on={look.scanColors.value}
-          press={() => {
-            look.scanColors.value = !look.scanColors.value;
-          }}
-        />
-      )}
+      <Toggle label="Wire" keys="W" of={look.wireframe} />
+      <Toggle label="Normals" keys="N" of={look.normals} />
+      <Toggle label="Flat" keys="L" of={look.flat} />
+      {hasColors && <Toggle label="Colour" keys="C" of={look.scanColors} />}
     </Group>
   );
 }
@@ -94,14 +64,7 @@ function CompareTools() {
     <Group label="Inspect">
       <Tool label="Distances" keys="D" on={look.heat.value} press={look.toggleHeat} />
       <Tool label="Slice" keys="S" on={look.slicing.value} press={look.toggleSlice} />
-      <Tool
-        label="Split"
-        keys="V"
-        on={look.split.value !== null}
-        press={() => {
-          look.split.value = look.split.value === null ? 0.5 : null;
-        }}
-      />
+      <Tool label="Split" keys="V" on={look.split.value !== null} press={look.toggleSplit} />
     </Group>
   );
 }
@@ -120,6 +83,11 @@ interface ToolProps {
   keys: string;
   press: () => void;
   on?: boolean;
+}
+
+/** A tool that is on or off. */
+function Toggle({ label, keys, of }: { label: string; keys: string; of: Signal<boolean> }) {
+  return <Tool label={label} keys={keys} on={of.value} press={() => look.flip(of)} />;
 }
 
 function Tool({ label, keys, press, on }: ToolProps) {

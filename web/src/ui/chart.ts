@@ -2,14 +2,12 @@
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { colorNow } from "../state/app";
 
 const HEIGHT = 132;
 
 export function lossChart(host: HTMLElement, data: uPlot.AlignedData): uPlot {
-  const style = getComputedStyle(host);
-  const soft = style.getPropertyValue("--soft").trim();
-  const line = style.getPropertyValue("--line").trim();
-  const accent = style.getPropertyValue("--accent").trim();
+  const [soft, line, accent] = ["--soft", "--line", "--accent"].map(colorNow);
   const font = "11px 'IBM Plex Mono', monospace";
   const axis = { stroke: soft, font, grid: { stroke: line, width: 1 }, ticks: { show: false } };
   return new uPlot(

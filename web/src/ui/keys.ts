@@ -52,23 +52,13 @@ const ACTIONS: Record<string, () => void> = {
   "3": () => {
     look.shown.value = "both";
   },
-  w: () => {
-    look.wireframe.value = !look.wireframe.value;
-  },
-  n: () => {
-    look.meshColors.value = look.meshColors.value === "normals" ? "plain" : "normals";
-  },
-  l: () => {
-    look.flat.value = !look.flat.value;
-  },
-  c: () => {
-    look.scanColors.value = !look.scanColors.value;
-  },
+  w: () => look.flip(look.wireframe),
+  n: () => look.flip(look.normals),
+  l: () => look.flip(look.flat),
+  c: () => look.flip(look.scanColors),
   d: ofResult(look.toggleHeat),
   s: ofResult(look.toggleSlice),
-  v: ofResult(() => {
-    look.split.value = look.split.value === null ? 0.5 : null;
-  }),
+  v: ofResult(look.toggleSplit),
   t: () => setTheme(isDark() ? "light" : "dark"),
   "?": () => {
     dialog.value = "help";
