@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Literal, TypeVar
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import Response
 
 from jobs.spec import JobRecord
@@ -32,6 +32,9 @@ MeshFrame = Annotated[
     Frame | None,
     Query(description="world: as the scan; local: relative to a shift that the file states"),
 ]
+Redirect = Annotated[
+    bool, Query(description="false: the bytes themselves, also where results lie in a bucket")
+]
 Route = TypeVar("Route", bound=Callable[..., Response])
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
@@ -56,16 +59,23 @@ def _file(
     """Declares a download: GET, and HEAD beside it."""
 
     def declared(endpoint: Route) -> Route:
-        router.head(path, include_in_schema=False)(endpoint)
+        wish = [Depends(_note_redirect)]
+        router.head(path, include_in_schema=False, dependencies=wish)(endpoint)
         return router.get(
             path,
             operation_id=operation_id,
             summary=summary,
             response_class=Response,
             responses=_answers(*suffixes) | (more or {}),
+            dependencies=wish,
         )(endpoint)
 
     return declared
+
+
+def _note_redirect(request: Request, redirect: Redirect = True) -> None:
+    """Whether the caller can be sent to a bucket: a page in a browser may only load from here."""
+    request.state.redirect = redirect
 
 
 @_file("/mesh", "getMesh", "The mesh", "ply", "glb", "obj", "stl", more=problems(422))
@@ -133,7 +143,8 @@ def get_preview(job_id: str, request: Request, services: Needs) -> Response:
 
 def _download(record: JobRecord, name: str, request: Request, services: Services) -> Response:
     artifact = record.outputs.get(name)
-    link = services.store.link_to(artifact) if artifact is not None else None
+    may_leave = artifact is not None and request.state.redirect
+    link = services.store.link_to(artifact) if may_leave else None
     if artifact is not None and link is not None:
         return redirected(request, link, sha256=artifact.sha256, size=artifact.bytes)
     return _sent(result_file(record, name, services.store), name, request)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import httpx
@@ -101,6 +102,9 @@ def test_downloads_go_to_the_bucket(site: Site, tmp_path: Path) -> None:
         assert answer.headers["etag"] == f'"{job["outputs"]["mesh.ply"]["sha256"]}"'
         head = client.head(job["links"]["mesh"])
         assert int(head.headers["content-length"]) == job["outputs"]["mesh.ply"]["bytes"]
+        here = client.get(job["links"]["mesh"], params={"redirect": "false"})
+        assert here.status_code == 200
+        assert sha256(here.content).hexdigest() == job["outputs"]["mesh.ply"]["sha256"]
         known = {"if-none-match": answer.headers["etag"]}
         assert client.get(job["links"]["mesh"], headers=known).status_code == 304
         mesh = trimesh.load(

@@ -152,6 +152,10 @@ export function problemOf(status: number, body: string): Problem {
   }
 }
 
+/** Files of a job through the service, even where they lie in a bucket: the page may load from
+ * nowhere else. */
+export const HERE = "redirect=false";
+
 async function json<T>(path: string, options?: RequestInit): Promise<T> {
   return (await ask(path, options)).json();
 }
@@ -175,7 +179,7 @@ export const getScan = (id: string) => json<ScanInfo>(`v1/scans/${id}`);
 export const getJob = (id: string) => json<Job>(`v1/jobs/${id}`);
 export const listJobs = (limit: number) =>
   json<{ jobs: Job[]; next_cursor: string | null }>(`v1/jobs?limit=${limit}`);
-export const getReport = (id: string) => json<Report>(`v1/jobs/${id}/report`);
+export const getReport = (id: string) => json<Report>(`v1/jobs/${id}/report?${HERE}`);
 export const cancelJob = (id: string, keepPartial: boolean) =>
   json<Job>(`v1/jobs/${id}/cancel`, post({ keep_partial: keepPartial }));
 export const retryJob = (id: string) => json<Job>(`v1/jobs/${id}/retry`, post());

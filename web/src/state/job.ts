@@ -7,6 +7,7 @@ import {
   getJob,
   getReport,
   getScan,
+  HERE,
   type Job,
   type Report,
   type ScanInfo,
@@ -114,8 +115,8 @@ export async function loadResult(id: string): Promise<void> {
       loading.value = total ? seen / total : 0;
     };
     const [mesh, cloud] = await Promise.all([
-      fetchBytes(`v1/jobs/${id}/mesh?format=ply`, count),
-      fetchBytes(`v1/jobs/${id}/points`, count),
+      fetchBytes(`v1/jobs/${id}/mesh?format=ply&${HERE}`, count),
+      fetchBytes(`v1/jobs/${id}/points?${HERE}`, count),
     ]);
     if (job.value?.id !== id) return;
     read(mesh, cloud, report.value?.points?.unique ?? 0);

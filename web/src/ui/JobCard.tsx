@@ -1,5 +1,5 @@
 import { useEffect, useState } from "preact/hooks";
-import { address, ask, hasKey, type Job } from "../net/api";
+import { address, ask, HERE, hasKey, type Job } from "../net/api";
 import { ago, count } from "../pure/format";
 import { hashOf } from "../pure/route";
 
@@ -39,7 +39,7 @@ export function JobCard({ job, onPick }: { job: Job; onPick?: () => void }) {
 
 /** The picture of the mesh. With a key an image cannot be asked for by its address alone. */
 function Thumbnail({ job }: { job: Job }) {
-  const path = `v1/jobs/${job.id}/preview.png`;
+  const path = `v1/jobs/${job.id}/preview.png?${HERE}`;
   const [source, setSource] = useState<string | null>(hasKey() ? null : address(path));
   const has = job.outputs["preview.png"] !== undefined;
   useEffect(() => {

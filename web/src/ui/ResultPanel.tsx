@@ -1,4 +1,4 @@
-import { address, ask, hasKey, type Job } from "../net/api";
+import { address, ask, HERE, hasKey, type Job } from "../net/api";
 import { duration } from "../pure/eta";
 import { bytes, count, counted, length } from "../pure/format";
 import * as state from "../state/job";
@@ -139,7 +139,7 @@ function pathOf(job: Job, name: string): string {
 async function withKey(event: Event, path: string, name: string): Promise<void> {
   if (!hasKey()) return;
   event.preventDefault();
-  const answer = await ask(path);
+  const answer = await ask(`${path}${path.includes("?") ? "&" : "?"}${HERE}`);
   const link = document.createElement("a");
   link.href = URL.createObjectURL(await answer.blob());
   link.download = name;
