@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -30,6 +30,7 @@ from service.inspection import Inspector
 from service.keys import KeyBook
 from service.rates import Rates
 from service.settings import ServiceSettings
+from service.tasks import end
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,7 @@ async def running(settings: ServiceSettings, shared: Settings) -> AsyncIterator[
     try:
         yield services
     finally:
-        reader.cancel()
-        with suppress(asyncio.CancelledError):
-            await reader
+        await end(reader)
         services.fields.close()
         await streams.aclose()
         await pictures.aclose()

@@ -24,6 +24,7 @@ from service.problems import invalid
 from service.routes.jobs import find_snapshot
 from service.schemas import EventPage
 from service.services import Needs, Services
+from service.tasks import end
 
 ENDED, UNKNOWN, BAD_REQUEST, TRY_AGAIN = 1000, 4404, 4400, 1013
 SEND_TIMEOUT_S = 20.0
@@ -48,10 +49,7 @@ async def watch_job(socket: WebSocket, job_id: str, services: Needs) -> None:
     try:
         await asyncio.wait({sending, listening}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for task in (sending, listening):
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+        await end(sending, listening)
 
 
 async def _send_events(socket: WebSocket, job_id: str, services: Services) -> None:

@@ -27,6 +27,7 @@ from jobs.records import JobRecords
 from jobs.spec import JobState
 from service.event_hub import MAX_PENDING, EventHub, Overflow, Watcher
 from service.event_stream import EventSource, place
+from service.tasks import end
 
 
 @contextmanager
@@ -292,12 +293,29 @@ def test_silence_is_broken_by_heartbeats_until_the_job_is_deleted(
         except Exception as error:
             types.append(type(error).__name__)
         assert hub.watcher_count() == 0
-        reader.cancel()
-        await asyncio.gather(reader, return_exceptions=True)
+        await end(reader)
         await connection.aclose()
         return types
 
     assert asyncio.run(story()) == ["snapshot"] + ["heartbeat"] * 3 + ["UnknownJob"]
+
+
+def test_the_reader_of_events_ends_whenever_it_is_told_to(api: Api) -> None:
+    """Also in the moments in which a cancel gets lost: the API could not be shut down."""
+
+    async def story(steps: int) -> bool:
+        connection = api.shared.connect_async()
+        hub = EventHub(AsyncEvents(connection))
+        await connection.ping()  # what follows begins with a connection that stands
+        reader = asyncio.create_task(hub.run())
+        with hub.watch(new_id("job"), "0-0"):
+            for _ in range(steps):
+                await asyncio.sleep(0)
+        _, unfinished = await asyncio.wait([asyncio.create_task(end(reader))], timeout=5)
+        await connection.aclose()
+        return not unfinished
+
+    assert all(asyncio.run(story(steps)) for steps in range(12))
 
 
 def test_two_hundred_come_at_once_and_none_is_turned_away(
