@@ -2,11 +2,15 @@ import { describe, expect, test } from "vitest";
 import { NoPreview, type Scan } from "../src/pure/formats/collector";
 import { readScan } from "../src/pure/formats/index";
 import { readPlyMesh } from "../src/pure/formats/ply";
+import { glb, npy, type Part, zip } from "./files";
 
-type Part = string | ArrayBufferView;
+const TWO = [
+  [1, 2, 3],
+  [4, 5, 6],
+];
 
 function read(parts: Part[], most = 1000): Promise<Scan> {
-  const blob = new Blob(parts as BlobPart[]);
+  const blob = new Blob(parts);
   return readScan((from, to) => blob.slice(from, to).arrayBuffer(), blob.size, most);
 }
 
@@ -26,7 +30,7 @@ const XYZ = ["x", "y", "z"].map((axis) => `property float ${axis}`);
 const RGB = ["red", "green", "blue"].map((name) => `property uchar ${name}`);
 const NORMALS = ["nx", "ny", "nz"].map((name) => `property float ${name}`);
 
-function rows(little: boolean): Uint8Array {
+function rows(little: boolean): Uint8Array<ArrayBuffer> {
   const view = new DataView(new ArrayBuffer(30));
   for (const [i, value] of [1, 2, 3, 4, 5, 6].entries()) {
     view.setFloat32(15 * Math.floor(i / 3) + 4 * (i % 3), value, little);
@@ -193,10 +197,141 @@ describe("others", () => {
     expect([...(scan.colors ?? [])]).toEqual([255, 0, 0]);
   });
 
+  test("NPY, column after column", async () => {
+    const head = npy("<f4", "(2, 3)", true);
+    const scan = await read([head, Float32Array.from([1, 4, 2, 5, 3, 6])]);
+    expect(points(scan)).toEqual(TWO);
+  });
+
+  test("PCD, compressed: field after field, with copies that overlap themselves", async () => {
+    const head = [
+      "VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1",
+      "WIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA binary_compressed\n",
+    ].join("\n");
+    const fields = Float32Array.from([1, 4, 2, 5, 3, 6]);
+    // 24 literal bytes, one more, and seven copies of it
+    const packed = [23, ...new Uint8Array(fields.buffer), 0, 9, (5 << 5) | 0, 0];
+    const sizes = Uint32Array.from([packed.length, 32]);
+    const scan = await read([head, sizes, Uint8Array.from(packed)]);
+    expect(points(scan)).toEqual(TWO);
+    expect([...(scan.colors ?? [])]).toEqual([9, 9, 9, 9, 9, 9]);
+    const damaged = Uint8Array.from([...packed.slice(0, -1), 200]);
+    await expect(read([head, sizes, damaged])).rejects.toThrow("damaged");
+  });
+
+  test.each([true, false])("NPZ, deflated: %s", async (deflated) => {
+    const members = {
+      "labels.npy": [npy("<f4", "(3,)"), Float32Array.from([1, 2, 3])],
+      "points.npy": [npy("<f8", "(2, 3)"), Float64Array.from(TWO.flat())],
+      "colors.npy": [npy("|u1", "(2, 3)"), Uint8Array.from([1, 2, 3, 4, 5, 6])],
+    };
+    const scan = await read([await zip(members, deflated)]);
+    expect(points(scan)).toEqual(TWO);
+    expect([...(scan.colors ?? [])]).toEqual([1, 2, 3, 4, 5, 6]);
+    expect(scan.format).toBe("npz");
+  });
+
+  test("a zip of something else is refused in words", async () => {
+    const file = await zip({ "scan.ply": ["ply"], "words.txt": ["words"] });
+    await expect(read([file])).rejects.toThrow("points or xyz");
+  });
+
+  test("GLB: parts are placed by their nodes, colours are linear", async () => {
+    const view = { byteLength: 24, buffer: 0 };
+    const document = {
+      scenes: [{ nodes: [0] }],
+      nodes: [
+        { children: [1], translation: [10, 0, 0] },
+        { mesh: 0, rotation: [0, 0, Math.SQRT1_2, Math.SQRT1_2], scale: [2, 2, 2] },
+      ],
+      meshes: [{ primitives: [{ attributes: { POSITION: 0, COLOR_0: 1 } }] }],
+      accessors: [
+        { bufferView: 0, componentType: 5126, count: 2, type: "VEC3" },
+        { bufferView: 1, componentType: 5126, count: 2, type: "VEC3" },
+      ],
+      bufferViews: [view, { ...view, byteOffset: 24 }],
+    };
+    const body = Float32Array.from([1, 0, 0, 0, 0, 3, 0, 0.5, 1, 0, 0.5, 1]);
+    const scan = await read([await glb(document, body)]);
+    const found = points(scan).map((point) => point.map((value) => Number(value.toFixed(5))));
+    expect(found.flat()).toEqual([10, 2, 0, 10, 0, 6].map((value) => expect.closeTo(value, 5)));
+    expect([...(scan.colors ?? [])].slice(0, 3)).toEqual([0, 187, 255]);
+    const packed = { ...document, extensionsRequired: ["KHR_draco_mesh_compression"] };
+    await expect(read([await glb(packed, body)])).rejects.toThrow("compressed");
+    await expect(read([await glb(document, body.slice(0, 9))])).rejects.toThrow("ends early");
+  });
+
+  test("STL in both kinds: every corner once", async () => {
+    const facets = [
+      [0, 0, 0, 1, 0, 0, 0, 1, 0],
+      [1, 0, 0, 0, 1, 0, -0, 0, 0],
+    ];
+    const binary = new DataView(new ArrayBuffer(84 + 50 * facets.length));
+    binary.setUint32(80, facets.length, true);
+    facets.forEach((corners, i) => {
+      corners.forEach((value, j) => {
+        binary.setFloat32(84 + 50 * i + 12 + 4 * j, value, true);
+      });
+    });
+    const rows = facets.map(
+      (c) =>
+        `facet normal 0 0 1\n outer loop\n${[0, 3, 6].map((at) => `  vertex ${c.slice(at, at + 3).join(" ")}`).join("\n")}\n endloop\nendfacet`,
+    );
+    const text = `solid thing\n${rows.join("\n")}\nendsolid thing\n`;
+    for (const file of [new Uint8Array(binary.buffer), text]) {
+      expect(await read([file])).toMatchObject({ format: "stl", total: 3, high: [1, 1, 0] });
+    }
+  });
+
+  test("OFF: as many vertices as it says, with colours where it announces them", async () => {
+    const plain = await read(["# made by hand\nOFF\n2 1 0\n1 2 3\n4 5 6\n3 0 1 1\n"]);
+    expect(points(plain)).toEqual(TWO);
+    const colored = await read(["COFF 2 0 0\n1 2 3 255 0 0 255\n4 5 6 0 128 0 255\n"]);
+    expect([...(colored.colors ?? [])]).toEqual([255, 0, 0, 0, 128, 0]);
+    await expect(read(["4OFF\n2 0 0\n"])).rejects.toThrow("no preview");
+  });
+
+  test("LAZ: what its header tells, and that its points are not drawn", async () => {
+    const head = new DataView(new ArrayBuffer(227));
+    new Uint8Array(head.buffer).set(new TextEncoder().encode("LASF"));
+    head.setUint8(25, 2);
+    head.setUint8(104, 0x83);
+    head.setUint32(107, 12345, true);
+    [4, 1, 5, 2, 6, 3].forEach((value, i) => {
+      head.setFloat64(179 + 8 * i, value, true);
+    });
+    const scan = await read([new Uint8Array(head.buffer)]);
+    expect(scan).toMatchObject({ format: "laz", total: 12345, low: [1, 2, 3], high: [4, 5, 6] });
+    expect(scan.hasColors).toBe(true);
+    expect(scan.positions.length).toBe(0);
+    expect(scan.note).toMatch("drawn once they are sent");
+  });
+
+  test("E57: counts and box from the XML behind the pages", async () => {
+    const bounds = ["x", "y", "z"]
+      .map((axis, i) => `<${axis}Minimum>${i}</${axis}Minimum><${axis}Maximum>9</${axis}Maximum>`)
+      .join("");
+    const part = `<points type="CompressedVector" recordCount="30"><prototype/></points>${bounds}`;
+    const xml = `<e57Root>${" ".repeat(1000)}${part}${part.replaceAll(">9<", ">11<")}</e57Root>`;
+    const content = new Uint8Array(4 * 1020);
+    content.set(new TextEncoder().encode("ASTM-E57"));
+    content.set(new TextEncoder().encode(xml), 1000);
+    const view = new DataView(content.buffer);
+    view.setBigUint64(24, 1000n, true);
+    view.setBigUint64(32, BigInt(xml.length), true);
+    const pages = [0, 1, 2, 3].flatMap((page) => [
+      ...content.subarray(1020 * page, 1020 * (page + 1)),
+      ...[1, 2, 3, 4],
+    ]);
+    const scan = await read([Uint8Array.from(pages)]);
+    expect(scan).toMatchObject({ format: "e57", total: 60, low: [0, 1, 2], high: [11, 11, 11] });
+  });
+
   test.each([
     ["an empty file", [""], "empty"],
     ["words", ["hello, this is no scan\nnot at all\n"], "no point"],
-    ["a zip", [Uint8Array.from([0x50, 0x4b, 3, 4, 0, 0])], "no preview of this kind"],
+    ["half a zip", [Uint8Array.from([0x50, 0x4b, 3, 4, 0, 0])], "ends early"],
+    ["bytes of no known kind", [Uint8Array.from([0, 1, 2, 3])], "no preview of this kind"],
   ] as [string, Part[], string][])("%s is refused in words", async (_, parts, words) => {
     await expect(read(parts)).rejects.toThrow(words);
   });

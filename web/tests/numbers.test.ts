@@ -154,6 +154,9 @@ describe("routes", () => {
   test("a job's address leads to it and back", () => {
     const route = { page: "job", id: "job_01m82513b274za570zyv472g7gsekqja8apg" } as const;
     expect(routeOf(hashOf(route))).toEqual(route);
+    expect(routeOf(hashOf({ ...route, up: "-y" }))).toEqual({ ...route, up: "-y" });
+    expect(hashOf({ ...route, up: "z" })).toBe(hashOf(route));
+    expect(routeOf(`${hashOf(route)}?up=yz`)).toEqual(route);
   });
   test.each(["", "#/", "#/jobs/", "#/jobs/../scans", "#/jobs/job_1?x=1", "#/jobs/JOB_1"])(
     "%s leads to the start",

@@ -13,7 +13,7 @@ import {
 import { hashOf, type Route, routeOf } from "../pure/route";
 
 export type Theme = "system" | "light" | "dark";
-export type DialogName = "help" | "jobs" | "key" | "cancel" | null;
+export type DialogName = "help" | "jobs" | "key" | "cancel" | "share" | null;
 
 const THEME = "udflow.theme";
 

@@ -14,8 +14,10 @@ import {
 import { Upload, type UploadState } from "../net/upload";
 import type { TimeLeft } from "../pure/eta";
 import type { Scan } from "../pure/formats/collector";
-import type { ScanAnswer } from "../workers/scan.worker";
+import { type Box, isInside } from "../pure/formats/crop";
+import type { ScanAnswer, ScanQuestion } from "../workers/scan.worker";
 import { go, info, isPhone, jobs, spoken } from "./app";
+import { up } from "./look";
 
 export interface Draft {
   name: string;
@@ -41,9 +43,13 @@ export const preview = signal<Scan | null>(null);
 /** What went wrong. refused: the service will never take these bytes. */
 export const problem = signal<{ title: string; words: string; refused: boolean } | null>(null);
 export const reading = signal(false);
+/** The sample that the service is making. */
+export const fetching = signal<string | null>(null);
 export const upload = signal<UploadState | null>(null);
 export const choice = signal<Choice | null>(null);
 export const starting = signal(false);
+/** The part of the scan that is to be sent; null for all of it. */
+export const crop = signal<Box | null>(null);
 
 let sending: Upload | null = null;
 let reader: Worker | null = null;
@@ -56,6 +62,18 @@ let scanId: string | null = null;
 effect(() => {
   const preset = Object.keys(info.value?.presets ?? {})[0];
   if (draft.value && !choice.value && preset) choose(preset);
+});
+
+/** About how much of the scan the box holds, 0 to 1. */
+export const keptShare = computed(() => {
+  const [box, found] = [crop.value, preview.value];
+  if (!box || !found || found.positions.length === 0) return 1;
+  const { positions: p, origin } = found;
+  let inside = 0;
+  for (let i = 0; i < p.length; i += 3) {
+    if (isInside(box, p[i] + origin[0], p[i + 1] + origin[1], p[i + 2] + origin[2])) inside++;
+  }
+  return (3 * inside) / p.length;
 });
 
 /** What the job will be given besides its preset. */
@@ -71,7 +89,7 @@ export const changes = computed(() => {
 export const guess = computed((): TimeLeft | null => {
   const wanted = choice.value;
   if (!wanted || expected.value) return expected.value;
-  const seconds = guessedSeconds(wanted, preview.value?.total ?? 0, jobs.value);
+  const seconds = guessedSeconds(wanted, (preview.value?.total ?? 0) * keptShare.value, jobs.value);
   return seconds === null ? null : { low: seconds, high: seconds };
 });
 
@@ -79,7 +97,7 @@ effect(() => {
   const wanted = choice.value;
   const config = changes.value;
   expected.value = null;
-  if (!wanted || !scanId) return;
+  if (!wanted || !scanId || crop.value) return; // the service knows the whole scan alone
   const timer = setTimeout(() => void expect(wanted.preset, config), 150);
   return () => clearTimeout(timer);
 });
@@ -89,22 +107,46 @@ export function take(file: Blob, name: string, sample: string | null = null): vo
   forget();
   draft.value = { name, bytes: file.size, file, sample };
   reading.value = true;
-  reader = new Worker(new URL("../workers/scan.worker.ts", import.meta.url), { type: "module" });
-  reader.onmessage = ({ data }: MessageEvent<ScanAnswer>) => {
+  const most = isPhone.matches ? MOST_ON_PHONES : MOST_POINTS;
+  void asked({ ask: "preview", file, most }).then((answer) => {
     reading.value = false;
-    if ("scan" in data) preview.value = data.scan;
-    else problem.value = { title: "No preview", words: data.problem, refused: false };
-    reader?.terminate();
-  };
-  reader.postMessage({ file, most: isPhone.matches ? MOST_ON_PHONES : MOST_POINTS });
+    if ("scan" in answer) {
+      preview.value = answer.scan;
+      if (answer.scan.format === "glb") up.value = "y"; // as the format demands
+    } else if ("problem" in answer) {
+      problem.value = { title: "No preview", words: answer.problem, refused: false };
+    }
+  });
+}
+
+/** Asks a reader beside the page; the one before is stopped. */
+function asked(question: ScanQuestion): Promise<ScanAnswer> {
+  reader?.terminate();
+  const made = new Worker(new URL("../workers/scan.worker.ts", import.meta.url), {
+    type: "module",
+  });
+  reader = made;
+  return new Promise((resolve) => {
+    made.onmessage = ({ data }: MessageEvent<ScanAnswer>) => {
+      made.terminate();
+      resolve(data);
+    };
+    made.postMessage(question);
+  });
 }
 
 /** Takes a scan that the service makes. */
 export async function takeSample(name: string): Promise<void> {
-  const [file, scan] = await Promise.all([getSample(name), makeSample(name)]);
-  take(file, `${name}.ply`, name);
+  fetching.value = name;
+  try {
+    take(await getSample(name), `${name}.ply`, name);
+  } finally {
+    fetching.value = null;
+  }
+  const scan = await makeSample(name);
+  if (draft.value?.sample !== name) return;
   scanId = scan.id;
-  choice.value = choice.value && { ...choice.value };
+  choice.value = choice.value && { ...choice.value }; // so that it is estimated
 }
 
 /** Begins with the parameters of a preset. */
@@ -128,10 +170,11 @@ export async function start(): Promise<void> {
   starting.value = true;
   problem.value = null;
   try {
-    const scan = current.sample ? await makeSample(current.sample) : await send(current);
-    const job = await createJob(scan.id, wanted.preset, changes.value, current.name, once());
-    spoken.value = `${current.name} is uploaded; the job is queued.`;
-    go({ page: "job", id: job.id });
+    const sent = await cropped(current);
+    const scan = sent.sample ? await makeSample(sent.sample) : await send(sent);
+    const job = await createJob(scan.id, wanted.preset, changes.value, sent.name, once());
+    spoken.value = `${sent.name} is uploaded; the job is queued.`;
+    go({ page: "job", id: job.id, up: up.value });
   } catch (error) {
     if (error instanceof DOMException) return; // stopped by hand
     const refused = error instanceof Problem && [413, 415, 422].includes(error.status);
@@ -141,6 +184,18 @@ export async function start(): Promise<void> {
     upload.value = null;
     sending = null;
   }
+}
+
+/** What is to be sent: the file as it is, or the part of it in the box.
+ * @throws Error when there is nothing in the box.
+ */
+async function cropped(current: Draft): Promise<Draft> {
+  const box = crop.value;
+  if (!box) return current;
+  const answer = await asked({ ask: "crop", file: current.file, box });
+  if (!("cropped" in answer)) throw new Error("problem" in answer ? answer.problem : "");
+  const name = `${current.name.replace(/\.[^.]*$/, "")}-part.ply`;
+  return { name, bytes: answer.cropped.size, file: answer.cropped, sample: null };
 }
 
 /** A key that makes a repeated request harmless. `crypto.randomUUID` is for https alone. */
@@ -153,7 +208,7 @@ export function forget(): void {
   sending?.stop();
   reader?.terminate();
   scanId = null;
-  for (const cleared of [draft, preview, problem, upload, choice]) cleared.value = null;
+  for (const cleared of [draft, preview, problem, upload, choice, crop]) cleared.value = null;
   reading.value = false;
 }
 

@@ -4,7 +4,10 @@ import { computed, type Signal, signal } from "@preact/signals";
 import { getSlice, Problem } from "../net/api";
 import type { MapName } from "../pure/colormap";
 import { quantile } from "../pure/histogram";
+import { hashOf, routeOf } from "../pure/route";
 import { readSlice, type Slice } from "../pure/slice";
+import type { Up } from "../pure/up";
+import type { View } from "../viewer/eye";
 import type { Hover } from "../viewer/viewer";
 import { compare, compared, job, scan } from "./job";
 
@@ -29,6 +32,10 @@ export const slice = signal<Slice | null>(null);
 export const sliceScale = signal<{ top: number; step: number } | null>(null);
 export const sliceProblem = signal<string | null>(null);
 export const hover = signal<Hover | null>(null);
+/** Which way is up. Part of the address of a job. */
+export const up = signal<Up>("z");
+/** How the picture is seen now. */
+export const view = signal<View | null>(null);
 
 const COARSE = 96;
 const FINE = 256;
@@ -75,8 +82,17 @@ export function askForSlice(): void {
   timer = window.setTimeout(() => void fetchSlice(COARSE), PAUSE_MS);
 }
 
+/** Another direction is up. */
+export function setUp(next: Up): void {
+  up.value = next;
+  const here = routeOf(location.hash);
+  if (here.page === "job") history.replaceState(null, "", hashOf({ ...here, up: next }));
+}
+
 /** Back to how a new job is shown. */
 export function resetLook(): void {
+  const here = routeOf(location.hash);
+  up.value = (here.page === "job" && here.up) || "z";
   shown.value = "both";
   heat.value = false;
   split.value = null;

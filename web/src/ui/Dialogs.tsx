@@ -5,9 +5,11 @@ import { cancelJob, listJobs, setKey } from "../net/api";
 import { dialog, info, jobs, loadStart, route } from "../state/app";
 import { failure, job, leave, watch } from "../state/job";
 import { JobCard } from "./JobCard";
+import { Share } from "./Share";
 
 const KEYS: [string, string][] = [
   ["F", "show everything"],
+  ["U", "which way is up"],
   ["1 2 3", "points, mesh, both"],
   ["W", "wireframe"],
   ["N", "normals as colours"],
@@ -28,6 +30,8 @@ export function Dialogs() {
       return <Help />;
     case "jobs":
       return <Jobs />;
+    case "share":
+      return <ShareJob />;
     case "key":
       return <KeyQuestion />;
     case "cancel":
@@ -99,6 +103,19 @@ function Jobs() {
           <JobCard key={each.id} job={each} onPick={close} />
         ))}
       </ul>
+      <div class="actions">
+        <button type="button" class="main" onClick={close}>
+          Close
+        </button>
+      </div>
+    </Modal>
+  );
+}
+
+function ShareJob() {
+  return (
+    <Modal title="Share this job">
+      {job.value && <Share job={job.value} />}
       <div class="actions">
         <button type="button" class="main" onClick={close}>
           Close

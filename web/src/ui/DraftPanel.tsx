@@ -3,6 +3,7 @@ import { box, bytes, count } from "../pure/format";
 import type { Scan } from "../pure/formats/collector";
 import { info } from "../state/app";
 import * as draft from "../state/draft";
+import { Crop } from "./Crop";
 import { Bar, Facts, sentence, Trouble, Warnings } from "./parts";
 
 const FAR = 1e5;
@@ -47,7 +48,7 @@ function factsOf(scan: Scan, size: number): [string, string][] {
   const holds = [scan.hasColors && "colours", scan.hasNormals && "normals (not needed)"];
   return [
     ["Points", count(scan.total)],
-    ["Box", box(extent)],
+    ["Box", extent.every(Number.isFinite) ? box(extent) : "not stated"],
     ["Holds", holds.filter(Boolean).join(", ") || "positions"],
     ["File", `${scan.format.toUpperCase()}, ${bytes(size)}`],
   ];
@@ -68,7 +69,8 @@ export function warningsOf(scan: Scan): string[] {
   }
   if (scan.total < FEW) words.push(`There are few points; at least ${FEW} are needed.`);
   const shown = scan.positions.length / 3;
-  if (shown < scan.total) words.push(`The picture shows ${count(shown)} of the points.`);
+  if (scan.note) words.push(scan.note);
+  else if (shown < scan.total) words.push(`The picture shows ${count(shown)} of the points.`);
   return words;
 }
 
@@ -76,6 +78,7 @@ function Settings() {
   const names = Object.keys(info.value?.presets ?? {});
   const wanted = draft.choice.value;
   const left = draft.guess.value;
+  const found = draft.preview.value;
   return (
     <form
       onSubmit={(event) => {
@@ -105,6 +108,7 @@ function Settings() {
           </label>
         ))}
       </fieldset>
+      {found && found.positions.length > 0 && <Crop scan={found} />}
       {wanted && <Parameters wanted={wanted} />}
       <div class="actions">
         <button type="submit" class="main" disabled={draft.starting.value || !wanted}>

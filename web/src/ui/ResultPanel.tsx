@@ -4,7 +4,7 @@ import { bytes, count, counted, length } from "../pure/format";
 import * as state from "../state/job";
 import { again } from "./actions";
 import { Histogram } from "./Histogram";
-import { Bar, Facts, Trouble, Warnings } from "./parts";
+import { Bar, Facts, ShareButton, Trouble, Warnings } from "./parts";
 
 /** In the order in which they are offered. */
 const FILES: [string, string, string][] = [
@@ -43,6 +43,7 @@ export function ResultPanel({ job }: { job: Job }) {
         <button type="button" onClick={() => void again(job.id)}>
           Run it again
         </button>
+        <ShareButton />
       </div>
     </>
   );

@@ -6,7 +6,7 @@ import type { StageState } from "../pure/stages";
 import { dialog } from "../state/app";
 import { clock, eta, failure, frames, live, losses, scan, tick } from "../state/job";
 import { LossChart } from "./LossChart";
-import { Bar, Trouble } from "./parts";
+import { Bar, ShareButton, Trouble } from "./parts";
 
 export function RunPanel({ job }: { job: Job }) {
   useSeconds();
@@ -38,6 +38,7 @@ export function RunPanel({ job }: { job: Job }) {
         <button type="button" onClick={askToCancel} disabled={job.state === "canceling"}>
           {job.state === "canceling" ? "Stopping…" : "Stop…"}
         </button>
+        <ShareButton />
       </div>
     </>
   );

@@ -7,12 +7,13 @@ import { length } from "../pure/format";
 import type { Frame } from "../pure/frame";
 import { heroFrame, heroPoints, heroRounds } from "../pure/hero";
 import { colorNow, prefersDark, prefersStill, route, theme } from "../state/app";
-import { draft, preview, reading } from "../state/draft";
+import { crop, draft, preview, reading } from "../state/draft";
 import { compared, frames, job, result, scan } from "../state/job";
 import * as look from "../state/look";
 import type { Vector } from "../viewer/space";
 import { type Look, type Palette, Viewer } from "../viewer/viewer";
 import { Legends } from "./Legends";
+import { Measures } from "./Measures";
 import { SplitHandle } from "./SplitHandle";
 import { Toolbar } from "./Toolbar";
 
@@ -42,6 +43,7 @@ export function Stage() {
         <Notice />
         <SplitHandle />
         <Readout />
+        <Measures />
         <Toolbar />
       </div>
       <Legends />
@@ -57,11 +59,16 @@ function labelOf(): string {
 }
 
 function Notice() {
-  const empty =
-    draft.value && !preview.value && !reading.value ? "There is no picture of this file." : null;
   const words =
-    unable.value ?? (lost.value ? "The graphics card was lost. Waiting for it…" : empty);
+    unable.value ?? (lost.value ? "The graphics card was lost. Waiting for it…" : absentNow());
   return words && <p class="notice">{words}</p>;
+}
+
+/** Why there is nothing to see of a draft. */
+function absentNow(): string | null {
+  if (!draft.value || reading.value) return null;
+  if (!preview.value) return "There is no picture of this file.";
+  return preview.value.note && `${preview.value.format.toUpperCase()} points are drawn once sent.`;
 }
 
 /** The distance under the pointer. */
@@ -87,6 +94,9 @@ function attach(canvas: HTMLCanvasElement): (() => void) | undefined {
   made.onHover = (found) => {
     look.hover.value = found;
   };
+  made.onView = (found) => {
+    if (JSON.stringify(found) !== JSON.stringify(look.view.peek())) look.view.value = found;
+  };
   made.onLost = (gone) => {
     lost.value = gone;
   };
@@ -100,9 +110,11 @@ function attach(canvas: HTMLCanvasElement): (() => void) | undefined {
     }),
     showHero(made),
     showDraft(made),
+    showBox(made),
     showJob(made),
     effect(() => made.setLook(lookNow())),
     effect(() => made.setMap(look.map.value)),
+    effect(() => made.setUp(look.up.value)),
   ];
   return () => {
     for (const stop of stops) stop();
@@ -138,8 +150,18 @@ function showDraft(made: Viewer): () => void {
     made.clear();
     const found = preview.value;
     if (!found) return;
+    if (!Number.isFinite(found.low[0])) return; // a header that tells no box
     made.setBounds(found.low, found.high);
     made.showCloud({ ...found, scale: 1 });
+  });
+}
+
+/** The box that is kept; of files whose points are not drawn, the box that they fill. */
+function showBox(made: Viewer): () => void {
+  return effect(() => {
+    const found = preview.value;
+    const isEmpty = found !== null && found.positions.length === 0;
+    made.setCrop(isEmpty && Number.isFinite(found.low[0]) ? found : crop.value);
   });
 }
 

@@ -1,7 +1,7 @@
 import { useRef } from "preact/hooks";
 import { count } from "../pure/format";
 import { dialog, info, jobs, loadStart, samples, trouble } from "../state/app";
-import { takeSample } from "../state/draft";
+import { fetching, takeSample } from "../state/draft";
 import { takeFile } from "./App";
 import { JobCard } from "./JobCard";
 import { Trouble } from "./parts";
@@ -74,10 +74,18 @@ function Samples() {
       <ul class="samples">
         {samples.value.map((sample) => (
           <li key={sample.name}>
-            <button type="button" onClick={() => void pick(sample.name)}>
+            <button
+              type="button"
+              aria-busy={fetching.value === sample.name}
+              onClick={() => void pick(sample.name)}
+            >
               <strong>{sample.title}</strong>
               <span>{sample.about}</span>
-              <small>{count(sample.points)} points</small>
+              <small>
+                {fetching.value === sample.name
+                  ? "being simulated…"
+                  : `${count(sample.points)} points`}
+              </small>
             </button>
           </li>
         ))}

@@ -2,6 +2,7 @@
 
 import type { Signal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
+import { nextUp, upInWords } from "../pure/up";
 import { preview } from "../state/draft";
 import { frames, result, scan } from "../state/job";
 import * as look from "../state/look";
@@ -18,6 +19,11 @@ export function Toolbar() {
       {isResult && <CompareTools />}
       <div class="tools">
         <Tool label="Frame" keys="F" press={() => viewer.value?.frame()} />
+        <Tool
+          label={upInWords(look.up.value)}
+          keys="U"
+          press={() => look.setUp(nextUp(look.up.value))}
+        />
       </div>
     </div>
   );

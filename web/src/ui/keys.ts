@@ -1,5 +1,6 @@
 /** Keys, wherever the focus is, except while something is typed. */
 
+import { nextUp } from "../pure/up";
 import { dialog, isDark, setTheme } from "../state/app";
 import { result } from "../state/job";
 import * as look from "../state/look";
@@ -56,6 +57,7 @@ const ACTIONS: Record<string, () => void> = {
   n: () => look.flip(look.normals),
   l: () => look.flip(look.flat),
   c: () => look.flip(look.scanColors),
+  u: () => look.setUp(nextUp(look.up.value)),
   d: ofResult(look.toggleHeat),
   s: ofResult(look.toggleSlice),
   v: ofResult(look.toggleSplit),

@@ -1,6 +1,7 @@
 /** Small parts that several panels are made of. */
 
 import type { ComponentChildren } from "preact";
+import { dialog } from "../state/app";
 
 /** Names and values in two columns. */
 export function Facts({ rows }: { rows: [string, ComponentChildren][] }) {
@@ -35,6 +36,17 @@ export function Bar({ label, share }: BarProps) {
     >
       <i style={share === null ? {} : { width: `${100 * share}%` }} />
     </div>
+  );
+}
+
+export function ShareButton() {
+  const ask = () => {
+    dialog.value = "share";
+  };
+  return (
+    <button type="button" onClick={ask}>
+      Share…
+    </button>
   );
 }
 

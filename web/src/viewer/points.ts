@@ -1,6 +1,7 @@
 /** A cloud on the screen. Buffers are made once for as many points as will come, and refilled. */
 
 import {
+  Box3,
   BufferAttribute,
   BufferGeometry,
   type DataTexture,
@@ -32,7 +33,7 @@ in float born;
 in float value;
 uniform float dot_size, most_size, fade, top, rounds;
 uniform int newest, mode;
-uniform vec3 ink;
+uniform vec3 ink, paper, crop_low, crop_high;
 uniform vec4 clip;
 uniform sampler2D ramp, ages;
 out vec3 tint;
@@ -53,6 +54,8 @@ void main() {
     tint = texture(ages, vec2(place, 0.5)).rgb;
   }
   if (mode == 3) tint = texture(ramp, vec2(value / top, 0.5)).rgb;
+  vec3 kept = clamp(world.xyz, crop_low, crop_high);
+  if (any(notEqual(kept, world.xyz))) tint = mix(tint, paper, 0.8);
   if (dot(clip.xyz, world.xyz) > clip.w) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
 }`;
 
@@ -64,6 +67,9 @@ void main() {
   if (dot(at, at) > 1.0) discard;
   color = vec4(tint, 1.0);
 }`;
+
+/** In scene coordinates all data lies within half a unit of the centre. */
+const EVERYWHERE = new Box3(new Vector3(-9, -9, -9), new Vector3(9, 9, 9));
 
 export class PointsLayer {
   readonly object: Points<BufferGeometry, ShaderMaterial>;
@@ -84,6 +90,9 @@ export class PointsLayer {
         mode: { value: 0 },
         rounds: { value: 1 },
         top: { value: 1 },
+        paper: { value: new Vector3(1, 1, 1) },
+        crop_low: { value: EVERYWHERE.min },
+        crop_high: { value: EVERYWHERE.max },
         ink: { value: new Vector3(0.2, 0.25, 0.3) },
         clip: { value: new Vector4(0, 0, 0, 1) },
         ramp: { value: ramp },
@@ -109,6 +118,13 @@ export class PointsLayer {
     this.object.position.set(...placed(space, data.origin));
     this.object.scale.setScalar(data.scale / space.extent);
     this.object.updateMatrixWorld();
+  }
+
+  /** What is outside of the box becomes faint; null: nothing does. */
+  crop(box: Box3 | null): void {
+    const { min, max } = box ?? EVERYWHERE;
+    this.uniforms.crop_low.value = min;
+    this.uniforms.crop_high.value = max;
   }
 
   /** New values, one a point. */

@@ -7,7 +7,6 @@ import {
   DataTexture,
   LinearFilter,
   LinearSRGBColorSpace,
-  PerspectiveCamera,
   Raycaster,
   Scene,
   Vector2,
@@ -15,10 +14,13 @@ import {
   Vector4,
   WebGLRenderer,
 } from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { ageTable, type MapName, table } from "../pure/colormap";
+import type { Box } from "../pure/formats/crop";
 import type { Frame } from "../pure/frame";
 import type { Slice } from "../pure/slice";
+import { type Up, upVector } from "../pure/up";
+import { CropBox } from "./crop_box";
+import { Eye, type View } from "./eye";
 import { type CloudData, type PointColors, PointsLayer } from "./points";
 import { Relief } from "./relief";
 import { SliceLayer } from "./slice";
@@ -52,18 +54,16 @@ export interface Hover {
 
 const FRAME_TO_DRAW = "udflow:frame-to-draw";
 const FADE_MS = 900;
-const FRAMED = 0.84; // of the smaller side that the data fills
-const HOME = new Vector3(-0.52, -1, 0.46).normalize();
-
 ColorManagement.enabled = false; // all colours here are as the screen shows them
 
 export class Viewer {
   onHover: (hover: Hover | null) => void = () => {};
   onLost: (lost: boolean) => void = () => {};
+  /** After each picture. Lengths are those of the world. */
+  onView: (view: View) => void = () => {};
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
-  private readonly camera = new PerspectiveCamera(30, 1, 0.01, 20);
-  private readonly controls: OrbitControls;
+  private readonly eye: Eye;
   private readonly relief = new Relief();
   private readonly ramp = new DataTexture(table("viridis"), 256, 1);
   private readonly ages = new DataTexture(ageTable(), 256, 1);
@@ -71,6 +71,7 @@ export class Viewer {
   private readonly input = new PointsLayer(this.ramp, this.ages);
   private readonly surface = new SurfaceLayer();
   private readonly slice = new SliceLayer(this.ramp);
+  private readonly cropBox = new CropBox();
   private readonly watching: ResizeObserver;
   private space: Space = { centre: [0, 0, 0], extent: 1 };
   private box = new Box3(new Vector3(-0.5, -0.5, -0.5), new Vector3(0.5, 0.5, 0.5));
@@ -88,7 +89,6 @@ export class Viewer {
   private scheduled = 0;
   private bornAt = 0;
   private arrivedAt: number | null = null;
-  private hasMoved = false;
 
   /** @throws Error where the browser has no WebGL 2. */
   constructor(
@@ -104,13 +104,8 @@ export class Viewer {
       texture.needsUpdate = true;
     }
     const layers = [this.input, this.cloud, this.surface, this.slice];
-    this.scene.add(...layers.map((layer) => layer.object));
-    this.camera.up.set(0, 0, 1);
-    this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.addEventListener("change", () => this.invalidate());
-    this.controls.addEventListener("start", () => {
-      this.hasMoved = true;
-    });
+    this.scene.add(...layers.map((layer) => layer.object), this.cropBox.object);
+    this.eye = new Eye(canvas, () => this.invalidate());
     canvas.addEventListener("webglcontextlost", this.lost);
     canvas.addEventListener("webglcontextrestored", this.restored);
     canvas.addEventListener("pointermove", this.hover);
@@ -128,7 +123,7 @@ export class Viewer {
       new Vector3(...half.map((value) => -value)),
       new Vector3(...(half as [number, number, number])),
     );
-    if (!this.hasMoved) this.frame();
+    if (!this.eye.hasMoved) this.frame();
     this.invalidate();
   }
 
@@ -141,7 +136,9 @@ export class Viewer {
     this.input.count = 0;
     this.surface.triangles = 0;
     this.clipAxis = null;
-    this.hasMoved = false;
+    this.eye.hasMoved = false;
+    this.cropBox.show(null, this.space);
+    this.cloud.crop(null);
     this.apply();
   }
 
@@ -207,6 +204,9 @@ export class Viewer {
     const vector = new Vector3(ink.r, ink.g, ink.b);
     for (const layer of [this.cloud, this.input]) layer.uniforms.ink.value = vector;
     this.surface.ink = vector;
+    this.cropBox.color = vector;
+    const paper = new Color(palette.background);
+    this.cloud.uniforms.paper.value = new Vector3(paper.r, paper.g, paper.b);
     const plain = new Color(palette.plain);
     this.surface.uniforms.plain.value = new Vector3(plain.r, plain.g, plain.b);
     this.invalidate();
@@ -214,46 +214,25 @@ export class Viewer {
 
   /** Stands where all of the data is seen. */
   frame(): void {
-    const towards = HOME;
-    const right = new Vector3(0, 0, 1).cross(towards).normalize();
-    const up = towards.clone().cross(right);
-    const tall = Math.tan((this.camera.fov * Math.PI) / 360) * FRAMED;
-    const wide = tall * this.camera.aspect;
-    let distance = 0.1;
-    for (let corner = 0; corner < 8; corner++) {
-      const at = new Vector3(
-        corner & 1 ? this.box.max.x : this.box.min.x,
-        corner & 2 ? this.box.max.y : this.box.min.y,
-        corner & 4 ? this.box.max.z : this.box.min.z,
-      );
-      const needed = Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(up)) / tall);
-      distance = Math.max(distance, needed + at.dot(towards));
-    }
-    this.controls.target.set(0, 0, 0);
-    this.camera.position.copy(towards).multiplyScalar(distance);
-    this.controls.update();
-    this.hasMoved = false;
+    this.eye.frame(this.box);
     this.invalidate();
+  }
+
+  /** Another direction is up from now on. */
+  setUp(up: Up): void {
+    this.eye.setUp(upVector(up));
+    this.frame();
   }
 
   /** Keyboard: turns by degrees, and comes nearer by a factor. */
   move(turn: number, tilt: number, nearer: number): void {
-    const away = this.camera.position.clone().sub(this.controls.target);
-    const flat = Math.hypot(away.x, away.y);
-    const azimuth = Math.atan2(away.y, away.x) + (turn * Math.PI) / 180;
-    const elevation = Math.atan2(away.z, flat) + (tilt * Math.PI) / 180;
-    const capped = Math.min(Math.max(elevation, -1.5), 1.5);
-    const reach = away.length() * nearer;
-    this.camera.position
-      .set(
-        Math.cos(azimuth) * Math.cos(capped),
-        Math.sin(azimuth) * Math.cos(capped),
-        Math.sin(capped),
-      )
-      .multiplyScalar(reach)
-      .add(this.controls.target);
-    this.hasMoved = true;
-    this.controls.update();
+    this.eye.move(turn, tilt, nearer);
+  }
+
+  /** The box that is to be kept, with what is outside of it faint; null shows all alike. */
+  setCrop(box: Box | null): void {
+    this.cropBox.show(box, this.space);
+    this.cloud.crop(this.cropBox.object.visible ? this.cropBox.object.box : null);
     this.invalidate();
   }
 
@@ -264,8 +243,9 @@ export class Viewer {
   dispose(): void {
     cancelAnimationFrame(this.scheduled);
     this.watching.disconnect();
-    this.controls.dispose();
+    this.eye.dispose();
     for (const layer of [this.cloud, this.input, this.surface, this.slice]) layer.dispose();
+    this.cropBox.dispose();
     this.relief.dispose();
     this.ramp.dispose();
     this.ages.dispose();
@@ -276,19 +256,19 @@ export class Viewer {
     this.scheduled = 0;
     this.dots();
     this.animate(now);
-    const distance = this.camera.position.distanceTo(this.controls.target);
-    this.camera.near = Math.max(0.005, distance - 3);
-    this.camera.far = distance + 3;
-    this.camera.updateProjectionMatrix();
+    const { camera } = this.eye;
+    this.eye.focus();
     this.clip();
-    this.surface.uniforms.back.value = this.camera.matrixWorld;
+    this.surface.uniforms.back.value = camera.matrixWorld;
     const { target } = this.relief;
     target.scissorTest = false;
     this.renderer.setRenderTarget(target);
     this.renderer.clear();
-    if (this.look.split === null) this.renderer.render(this.scene, this.camera);
+    if (this.look.split === null) this.renderer.render(this.scene, this.eye.camera);
     else this.drawSplit(target.width, target.height, this.look.split);
-    this.relief.draw(this.renderer, this.camera);
+    this.relief.draw(this.renderer, camera);
+    const { perPixel, axes } = this.eye.view(this.canvas.clientHeight);
+    this.onView({ perPixel: perPixel * this.space.extent, axes });
     if (this.arrivedAt !== null) {
       performance.measure(FRAME_TO_DRAW, { start: this.arrivedAt });
       performance.clearMeasures(FRAME_TO_DRAW); // observers have it; a list would only grow
@@ -309,7 +289,7 @@ export class Viewer {
       this.renderer.setRenderTarget(target);
       this.input.object.visible = input;
       this.surface.object.visible = !input;
-      this.renderer.render(this.scene, this.camera);
+      this.renderer.render(this.scene, this.eye.camera);
     }
     target.scissorTest = false;
   }
@@ -324,7 +304,7 @@ export class Viewer {
   /** Sizes of the dots: they cover the surface about as far as they are apart. */
   private dots(): void {
     const { height } = this.relief.target;
-    const scale = height / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
+    const scale = height / (2 * Math.tan((this.eye.camera.fov * Math.PI) / 360));
     for (const layer of [this.cloud, this.input]) {
       const apart = Math.sqrt(2.2 / Math.max(layer.count, 500));
       layer.uniforms.dot_size.value = 0.46 * apart * scale;
@@ -337,7 +317,7 @@ export class Viewer {
     const clip = new Vector4(0, 0, 0, 1);
     if (this.look.slice && this.clipAxis) {
       const { axis, at } = this.clipAxis;
-      const side = this.camera.position.getComponent(axis) >= at ? 1 : -1;
+      const side = this.eye.camera.position.getComponent(axis) >= at ? 1 : -1;
       clip.setComponent(axis, side);
       clip.w = side * at + 1e-4;
     }
@@ -370,9 +350,8 @@ export class Viewer {
     this.renderer.setPixelRatio(ratio);
     this.renderer.setSize(width, height, false);
     this.relief.setSize(Math.round(width * ratio), Math.round(height * ratio), ratio);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
-    if (this.hasMoved) this.invalidate();
+    this.eye.resize(width, height);
+    if (this.eye.hasMoved) this.invalidate();
     else this.frame();
   }
 
@@ -383,7 +362,7 @@ export class Viewer {
     const caster = new Raycaster();
     caster.setFromCamera(
       new Vector2((2 * x) / box.width - 1, 1 - (2 * y) / box.height),
-      this.camera,
+      this.eye.camera,
     );
     const found = this.slice.valueAt(caster.ray, this.space);
     this.onHover(found && { ...found, x, y });

@@ -16,13 +16,23 @@ export interface Scan {
   positions: Float32Array;
   colors: Uint8Array | null;
   origin: [number, number, number];
+  /** Why there is nothing to draw although the file can be read; null where there is. */
+  note: string | null;
+}
+
+/** Takes the points of a file one after the other. */
+export interface Sink {
+  hasColors: boolean;
+  hasNormals: boolean;
+  /** color: each part 0 to 255. */
+  add(x: number, y: number, z: number, color?: Rgb): void;
 }
 
 /** Raised for files that cannot be previewed. The service decides whether it can read them. */
 export class NoPreview extends Error {}
 
 /** Keeps every k-th point; when there are too many, every second of those, and k doubles. */
-export class Collector {
+export class Collector implements Sink {
   private positions: Float32Array;
   private colors: Uint8Array;
   private kept = 0;
@@ -75,6 +85,7 @@ export class Collector {
       positions: this.positions.slice(0, 3 * this.kept),
       colors: this.hasColors ? this.colors.slice(0, 3 * this.kept) : null,
       origin: this.origin,
+      note: null,
     };
   }
 

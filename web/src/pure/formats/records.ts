@@ -1,6 +1,7 @@
-/** Records of a fixed size: what PLY, PCD, NPY and LAS have in common. */
+/** Numbers at even steps: what PLY, PCD, NPY, LAS, STL and GLB have in common. */
 
-import { type Collector, NoPreview } from "./collector";
+import type { Rgb } from "../colormap";
+import { NoPreview, type Sink } from "./collector";
 
 export type NumberType = "i1" | "u1" | "i2" | "u2" | "i4" | "u4" | "f4" | "f8";
 
@@ -43,14 +44,35 @@ export const SIZES: Record<NumberType, number> = {
   f8: 8,
 };
 
-/** Feeds all records to the collector.
+/** One number of every point, at even steps from `at` on. */
+export interface Column {
+  type: NumberType;
+  at: number;
+  step: number;
+}
+
+export type Three<T> = readonly [T, T, T];
+
+/** What is known of points besides where their numbers are. */
+export interface Meaning {
+  little: boolean;
+  colorMost?: number;
+  scale?: readonly number[];
+  offset?: readonly number[];
+  /** Where a point comes to lie, after scale and offset. */
+  place?: (x: number, y: number, z: number) => Three<number>;
+  /** A part of a colour as the screen shows it, 0 to 255. */
+  shade?: (value: number) => number;
+}
+
+/** Feeds all records to a sink.
  * @throws NoPreview when the file is shorter than it says.
  */
 export async function readRecords(
   read: ReadPart,
   fileSize: number,
   layout: Layout,
-  collector: Collector,
+  sink: Sink,
 ): Promise<void> {
   const { start, count, stride } = layout;
   if (start + count * stride > fileSize) {
@@ -60,24 +82,43 @@ export async function readRecords(
   for (let first = 0; first < count; first += together) {
     const until = Math.min(count, first + together);
     const part = await read(start + first * stride, start + until * stride);
-    takeAll(new DataView(part), until - first, layout, collector);
+    takeAll(new DataView(part), until - first, layout, sink);
   }
 }
 
-function takeAll(view: DataView, count: number, layout: Layout, collector: Collector): void {
-  const { little, stride, scale = [1, 1, 1], offset = [0, 0, 0] } = layout;
-  const axes = [layout.x, layout.y, layout.z].map((field) => getter(view, field, little));
-  const shades = layout.color?.map((field) => getter(view, field, little));
-  const bright = 255 / (layout.colorMost ?? 255);
+function takeAll(view: DataView, count: number, layout: Layout, sink: Sink): void {
+  const column = ({ type, at }: Field): Column => ({ type, at, step: layout.stride });
+  const { x, y, z, color } = layout;
+  takeColumns(view, count, [column(x), column(y), column(z)], mapped(color, column), layout, sink);
+}
+
+/** Feeds columns of numbers to a sink. */
+export function takeColumns(
+  view: DataView,
+  count: number,
+  axes: Three<Column>,
+  colors: Three<Column> | null,
+  meaning: Meaning,
+  sink: Sink,
+): void {
+  const { little, scale = [1, 1, 1], offset = [0, 0, 0], place } = meaning;
+  const [x, y, z] = axes.map((column) => getter(view, column, little));
+  const shades = mapped(colors, (column) => getter(view, column, little));
+  const bright = 255 / (meaning.colorMost ?? 255);
+  const shade = meaning.shade ?? ((value: number) => value * bright);
   for (let i = 0; i < count; i++) {
-    const at = i * stride;
-    collector.add(
-      offset[0] + scale[0] * axes[0](at),
-      offset[1] + scale[1] * axes[1](at),
-      offset[2] + scale[2] * axes[2](at),
-      shades && [shades[0](at) * bright, shades[1](at) * bright, shades[2](at) * bright],
-    );
+    const at = [
+      offset[0] + scale[0] * x(i * axes[0].step),
+      offset[1] + scale[1] * y(i * axes[1].step),
+      offset[2] + scale[2] * z(i * axes[2].step),
+    ] as const;
+    const color = colors && shades?.map((part, j) => shade(part(i * colors[j].step)));
+    sink.add(...(place ? place(...at) : at), color ? (color as Rgb) : undefined);
   }
+}
+
+function mapped<A, B>(three: Three<A> | null | undefined, change: (one: A) => B): Three<B> | null {
+  return three ? [change(three[0]), change(three[1]), change(three[2])] : null;
 }
 
 /** Reads one field of the record that begins at a byte. */

@@ -1,7 +1,7 @@
 /** Points as rows of text: XYZ, CSV, PTS, ASCII PLY and PCD, and the vertices of OBJ. */
 
 import type { Rgb } from "../colormap";
-import type { Collector } from "./collector";
+import type { Sink } from "./collector";
 
 export interface Rows {
   /** Columns of x, y, z in a row of numbers. */
@@ -39,17 +39,17 @@ export function guessRows(lines: string[]): Rows {
   return { at: [0, 1, 2], color, colorMost: 255, most: Number.POSITIVE_INFINITY };
 }
 
-/** Feeds rows to a collector, piece of text by piece of text. */
+/** Feeds rows to a sink, piece of text by piece of text. */
 export class RowReader {
   private rest = "";
   private read = 0;
 
   constructor(
     private readonly rows: Rows,
-    private readonly collector: Collector,
+    private readonly sink: Sink,
     private readonly prefix = "",
   ) {
-    collector.hasColors = rows.color !== null;
+    sink.hasColors = rows.color !== null;
   }
 
   push(text: string): void {
@@ -62,9 +62,10 @@ export class RowReader {
     this.take(this.rest);
   }
 
-  private take(line: string): void {
+  private take(text: string): void {
     if (this.read >= this.rows.most) return;
-    if (this.prefix && !line.startsWith(this.prefix)) return;
+    const line = this.prefix ? text.trimStart() : text;
+    if (!line.startsWith(this.prefix)) return;
     const row = numbersOf(line.slice(this.prefix.length));
     if (!row) return;
     this.read++;
@@ -74,7 +75,7 @@ export class RowReader {
       color === null
         ? undefined
         : (row.slice(color, color + 3).map((value) => value * bright) as Rgb);
-    this.collector.add(row[at[0]], row[at[1]], row[at[2]], shade);
+    this.sink.add(row[at[0]], row[at[1]], row[at[2]], shade);
   }
 }
 

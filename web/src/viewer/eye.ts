@@ -1,0 +1,122 @@
+/** Where the picture is seen from. */
+
+import { type Box3, PerspectiveCamera, Quaternion, Spherical, Vector3 } from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const FRAMED = 0.84; // of the smaller side that the data fills
+const HOME = new Vector3(-0.52, -1, 0.46).normalize(); // with z up
+const Z = new Vector3(0, 0, 1);
+const Y = new Vector3(0, 1, 0);
+const STEEPEST = 0.07; // radians from straight above
+
+/** Measures of the view, for a scale bar and a sign of the axes. */
+export interface View {
+  /** Scene lengths per CSS pixel, at the depth of what is looked at. */
+  perPixel: number;
+  /** Where x, y and z point on the screen: right, up, towards the viewer. */
+  axes: readonly [number, number, number][];
+}
+
+export class Eye {
+  readonly camera = new PerspectiveCamera(30, 1, 0.01, 20);
+  /** Whether people have moved it themselves. */
+  hasMoved = false;
+  private controls: OrbitControls;
+  private up = Z.clone();
+
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly onChange: () => void,
+  ) {
+    this.controls = this.attached();
+  }
+
+  /** Another direction is up from now on. */
+  setUp(direction: readonly [number, number, number]): void {
+    this.up = new Vector3(...direction);
+    this.controls.dispose(); // they know the direction from when they were made
+    this.controls = this.attached();
+  }
+
+  /** Stands where all of a box around the centre is seen. */
+  frame(box: Box3): void {
+    const towards = HOME.clone().applyQuaternion(turned(Z, this.up));
+    const right = this.up.clone().cross(towards).normalize();
+    const over = towards.clone().cross(right);
+    const tall = Math.tan((this.camera.fov * Math.PI) / 360) * FRAMED;
+    const wide = tall * this.camera.aspect;
+    let distance = 0.1;
+    for (let corner = 0; corner < 8; corner++) {
+      const at = new Vector3(
+        corner & 1 ? box.max.x : box.min.x,
+        corner & 2 ? box.max.y : box.min.y,
+        corner & 4 ? box.max.z : box.min.z,
+      );
+      const needed = Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(over)) / tall);
+      distance = Math.max(distance, needed + at.dot(towards));
+    }
+    this.controls.target.set(0, 0, 0);
+    this.camera.position.copy(towards).multiplyScalar(distance);
+    this.controls.update();
+    this.hasMoved = false;
+  }
+
+  /** Turns by degrees, and comes nearer by a factor. */
+  move(turn: number, tilt: number, nearer: number): void {
+    const toY = turned(this.up, Y);
+    const away = this.camera.position.clone().sub(this.controls.target).applyQuaternion(toY);
+    const place = new Spherical().setFromVector3(away);
+    place.theta += (turn * Math.PI) / 180;
+    const steep = place.phi - (tilt * Math.PI) / 180;
+    place.phi = Math.min(Math.max(steep, STEEPEST), Math.PI - STEEPEST);
+    place.radius *= nearer;
+    away.setFromSpherical(place).applyQuaternion(toY.invert());
+    this.camera.position.copy(away).add(this.controls.target);
+    this.hasMoved = true;
+    this.controls.update();
+    this.onChange();
+  }
+
+  resize(width: number, height: number): void {
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Before each picture: as much depth as there is to see. */
+  focus(): void {
+    const distance = this.distance;
+    this.camera.near = Math.max(0.005, distance - 3);
+    this.camera.far = distance + 3;
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** height: of the picture in CSS pixels. */
+  view(height: number): View {
+    const tall = 2 * this.distance * Math.tan((this.camera.fov * Math.PI) / 360);
+    const { elements: e } = this.camera.matrixWorldInverse;
+    const axes = [0, 4, 8].map((at) => [e[at], e[at + 1], e[at + 2]] as [number, number, number]);
+    return { perPixel: tall / height, axes };
+  }
+
+  dispose(): void {
+    this.controls.dispose();
+  }
+
+  private get distance(): number {
+    return this.camera.position.distanceTo(this.controls.target);
+  }
+
+  private attached(): OrbitControls {
+    this.camera.up.copy(this.up);
+    const controls = new OrbitControls(this.camera, this.canvas);
+    controls.addEventListener("change", this.onChange);
+    controls.addEventListener("start", () => {
+      this.hasMoved = true;
+    });
+    return controls;
+  }
+}
+
+function turned(from: Vector3, to: Vector3): Quaternion {
+  return new Quaternion().setFromUnitVectors(from, to);
+}
