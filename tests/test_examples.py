@@ -7,7 +7,6 @@ import json
 import os
 import re
 import secrets
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from api_process import free_port, wait_until_up
 from shapes import Sphere
+from whole_service import running
 
 from udflow.client import Client
 from udflow.mesh.load import read_mesh
@@ -54,25 +53,8 @@ def test_reconstruct_in_memory(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def guarded_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a whole running service that asks for a key."""
-    folder, port = tmp_path_factory.mktemp("guarded"), free_port()
-    environment = {
-        **{name: value for name, value in os.environ.items() if name != "REDIS_URL"},
-        "PORT": str(port),
-        "UDFLOW_KEY": KEY,
-        "UDFLOW_DATA": str(folder / "data"),
-    }
-    command = [sys.executable, "-m", "service.up"]
-    with (folder / "log").open("wb") as log:
-        process = subprocess.Popen(
-            command, cwd=ROOT, env=environment, stdout=log, stderr=log, start_new_session=True
-        )
-    url = f"http://127.0.0.1:{port}"
-    try:
-        wait_until_up(url, process, "/readyz", 90)
+    with running(tmp_path_factory.mktemp("guarded") / "data", UDFLOW_KEY=KEY) as url:
         yield url
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(20)
 
 
 def test_http_client(guarded_service: str, tmp_path: Path) -> None:

@@ -227,11 +227,7 @@ def test_whoever_waits_dies_between_requeue_and_offer(ground: Any) -> None:
         ground.faults.arm(place)
     job_id = bench.submit(SOLVED)
     assert worker.wait(30.0) == -signal.SIGKILL
-    waits_unoffered(job_id, shop)
-    for _ in range(2):
-        shop.reaper.sweep()
-    shop.start_worker()
-    bench.check(shop.reaches(job_id, JobState.SUCCEEDED), SOLVED)
+    goes_on_though_nobody_offered_it(job_id, bench)
 
 
 @soak_only
@@ -248,14 +244,16 @@ def test_a_reaper_dies_between_requeue_and_offer(ground: Any) -> None:
     environ |= ground.faults.environ | {"UDFLOW_REAPER_PERIOD_S": "0.5"}
     reaper = subprocess.Popen([sys.executable, "-m", "worker.reaper"], env=os.environ | environ)
     assert reaper.wait(30.0) == -signal.SIGKILL
-    waits_unoffered(job_id, shop)
+    goes_on_though_nobody_offered_it(job_id, bench)
+
+
+def goes_on_though_nobody_offered_it(job_id: str, bench: Bench) -> None:
+    """It waits for its second attempt without a place in the queue, until the reaper sees that."""
+    shop = bench.shop
+    record = shop.get(job_id)
+    assert (record.state, record.attempt) == (JobState.QUEUED, 2)
+    assert not shop.dispatcher.is_waiting(job_id, 2)
     for _ in range(2):
         shop.reaper.sweep()
     shop.start_worker()
     bench.check(shop.reaches(job_id, JobState.SUCCEEDED), SOLVED)
-
-
-def waits_unoffered(job_id: str, shop: Workshop) -> None:
-    record = shop.get(job_id)
-    assert (record.state, record.attempt) == (JobState.QUEUED, 2)
-    assert not shop.dispatcher.is_waiting(job_id, 2)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from typing import Any
 
 import httpx
 import pytest
 import redis
 from api_process import Api, ApiProcess, ball
+from chaos_kit import in_background
 
 from jobs.events import Events
 from jobs.records import JobRecords
 from jobs.redis_server import EmbeddedRedis
 from jobs.settings import Settings
-from jobs.spec import JobSpec
+from jobs.spec import JobSpec, JobState
 from jobs.store import FileStore
 from udflow.config import preset, to_dict
 
@@ -77,6 +81,22 @@ def started(queued: str, records: JobRecords) -> str:
     """The id of a running job; the test is its worker."""
     assert records.claim(queued, 1, "test", "cpu") is not None
     return queued
+
+
+@pytest.fixture
+def at_work(started: str, records: JobRecords) -> AbstractContextManager[None]:
+    """While it lasts, the running job goes from round to round; then it succeeds."""
+
+    def work(over: threading.Event) -> None:
+        step = 0
+        while not over.is_set():
+            step += 1
+            # states, so that none may be left out for a slow reader
+            records.update(started, 1, ("densify", {"round": step}), round=step)
+            time.sleep(0.002)
+        records.finish(started, 1, JobState.SUCCEEDED)
+
+    return in_background(work)
 
 
 @pytest.fixture

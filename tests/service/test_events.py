@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from socket import create_connection
 from typing import Any
 
@@ -76,31 +74,15 @@ def test_a_job_from_its_snapshot_to_its_end(
 
 
 def test_resuming_loses_and_repeats_nothing(
-    started: str, api: Api, records: JobRecords, events: Events
+    started: str, api: Api, at_work: AbstractContextManager[None], events: Events
 ) -> None:
     """A client that breaks off again and again while the job goes on sees each event once."""
-    stop = threading.Event()
-
-    def work() -> None:
-        step = 0
-        while not stop.is_set():
-            step += 1
-            # states, so that none may be left out for a slow reader
-            records.update(started, 1, ("densify", {"round": step}), round=step)
-            time.sleep(0.002)
-        records.finish(started, 1, JobState.SUCCEEDED)
-
-    worker = threading.Thread(target=work)
-    worker.start()
     seen: list[str] = []
-    try:
+    with at_work:
         for _ in range(12):
             with watching(api, started, f"?after={seen[-1] if seen else '0-0'}") as socket:
                 assert take(socket)["type"] == "snapshot"
                 seen += [take(socket)["id"] for _ in range(10)]
-    finally:
-        stop.set()
-        worker.join()
     with watching(api, started, f"?after={seen[-1]}") as socket:
         assert take(socket)["type"] == "snapshot"
         messages, code = rest(socket)

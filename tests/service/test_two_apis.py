@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from typing import Any
 
 import httpx
@@ -22,7 +22,6 @@ from websockets.sync.client import connect
 from jobs.events import Events
 from jobs.ids import new_id
 from jobs.records import JobRecords
-from jobs.spec import JobState
 from jobs.store import FileStore
 
 SUBMISSIONS = 50
@@ -136,31 +135,20 @@ def _until_broken(url: str, messages: int) -> list[dict[str, Any]]:
 
 
 def test_a_broken_line_goes_on_at_the_other_without_gap_or_repeat(
-    started: str, api: Api, second: Api, records: JobRecords, events: Events
+    started: str,
+    api: Api,
+    second: Api,
+    at_work: AbstractContextManager[None],
+    events: Events,
 ) -> None:
-    stop = threading.Event()
-
-    def work() -> None:
-        step = 0
-        while not stop.is_set():
-            step += 1
-            records.update(started, 1, ("densify", {"round": step}), round=step)
-            time.sleep(0.002)
-        records.finish(started, 1, JobState.SUCCEEDED)
-
-    worker = threading.Thread(target=work)
-    worker.start()
     seen: list[str] = []
-    try:
+    with at_work:
         for turn in range(10):
             server = (api, second)[turn % 2]
             url = f"{server.ws}/v1/jobs/{started}/events?after={seen[-1] if seen else '0-0'}"
             snapshot, *rest = _until_broken(url, 9)
             assert snapshot["type"] == "snapshot"
             seen += [message["id"] for message in rest]
-    finally:
-        stop.set()
-        worker.join()
     with connect(f"{api.ws}/v1/jobs/{started}/events?after={seen[-1]}", max_queue=None) as line:
         assert json.loads(line.recv(timeout=10))["type"] == "snapshot"
         with suppress(ConnectionClosed):

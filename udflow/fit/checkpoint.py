@@ -34,6 +34,9 @@ _ALWAYS = {"samples", "generator"}
 _TRAINER = {"parameters", "mean", "square", "order", "counts", "rate_scale"}
 _FIELD = "field."  # how the tensors of a solved field are named
 
+# the rounds, samples and generator of a Checkpoint
+Place = tuple[tuple[dict[str, int], ...], Tensor, Tensor]
+
 log = logging.getLogger("udflow")
 
 
@@ -162,43 +165,22 @@ class Keeper:
         fitting.loss = math.inf if stored.loss is None else stored.loss
         return True
 
-    def begun(
-        self,
-        fitting: object,
-        rounds: tuple[dict[str, int], ...],
-        samples: Tensor,
-        generator: Tensor,
-    ) -> None:
+    def begun(self, fitting: object, *place: *Place) -> None:
         """Saves what a round of densification has brought, before the fit to it."""
-        trainer = fitting.trainer.state() if isinstance(fitting, NeuralFitting) else None
-        self._save(Checkpoint(self._origin, rounds, samples, generator, trainer))
+        self._save(Checkpoint(self._origin, *place, _trainer_of(fitting)))
 
-    def offer(
-        self,
-        fitting: object,
-        rounds: tuple[dict[str, int], ...],
-        samples: Tensor,
-        generator: Tensor,
-    ) -> None:
+    def offer(self, fitting: object, *place: *Place) -> None:
         """Saves a trained fit under way, unless it was saved a moment ago."""
         due = time.monotonic() - self._saved >= self._every_s or self._now()
         if due and isinstance(fitting, NeuralFitting):
-            state, loss = fitting.trainer.state(), _finite(fitting.loss)
-            self._save(Checkpoint(self._origin, rounds, samples, generator, state, loss=loss))
+            trainer, loss = _trainer_of(fitting), _finite(fitting.loss)
+            self._save(Checkpoint(self._origin, *place, trainer, loss=loss))
 
-    def whole(
-        self,
-        fitting: object,
-        fit: Fit,
-        rounds: tuple[dict[str, int], ...],
-        samples: Tensor,
-        generator: Tensor,
-    ) -> None:
+    def whole(self, fitting: object, fit: Fit, *place: *Place) -> None:
         """Saves a fit that is whole."""
-        trainer = fitting.trainer.state() if isinstance(fitting, NeuralFitting) else None
         solved = fit.field if isinstance(fit.field, SplineField) else None
-        loss = _finite(fit.loss)
-        self._save(Checkpoint(self._origin, rounds, samples, generator, trainer, solved, loss))
+        trainer, loss = _trainer_of(fitting), _finite(fit.loss)
+        self._save(Checkpoint(self._origin, *place, trainer, solved, loss))
 
     def _save(self, checkpoint: Checkpoint) -> None:
         self._saved = time.monotonic()
@@ -206,6 +188,11 @@ class Keeper:
             checkpoint.save(self._path)
         except OSError as error:
             log.warning("no checkpoint can be written, the fit goes on without: %s", error)
+
+
+def _trainer_of(fitting: object) -> dict[str, Tensor] | None:
+    """The state of a trained fit; a solved one has none."""
+    return fitting.trainer.state() if isinstance(fitting, NeuralFitting) else None
 
 
 def _finite(loss: float) -> float | None:

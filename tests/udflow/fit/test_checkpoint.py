@@ -41,6 +41,20 @@ def stopped_after(count: int, path: Path, config: Config = CONFIG) -> list[Progr
     return seen
 
 
+def gone_on(
+    path: Path, whole: Reconstruction, config: Config = CONFIG
+) -> tuple[Reconstruction, list[Progress]]:
+    """The rest of one that was stopped, which must end as one that was not."""
+    assert path.exists()
+    resumed: list[Progress] = []
+    result = reconstruct(CLOUD, config, checkpoint=path, on_progress=resumed.append)
+    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
+    assert np.array_equal(result.points.points, whole.points.points)
+    assert np.array_equal(result.mesh.vertices, whole.mesh.vertices)
+    assert np.array_equal(result.mesh.faces, whole.mesh.faces)
+    return result, resumed
+
+
 @pytest.fixture(scope="module")
 def whole() -> Reconstruction:
     return reconstruct(CLOUD, CONFIG)
@@ -52,12 +66,7 @@ def whole() -> Reconstruction:
 def test_it_goes_on_bit_for_bit(steps: int, whole: Reconstruction, tmp_path: Path) -> None:
     path = tmp_path / "half.safetensors"
     seen = stopped_after(steps, path)
-    assert path.exists()
-    resumed: list[Progress] = []
-    result = reconstruct(CLOUD, CONFIG, checkpoint=path, on_progress=resumed.append)
-    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
-    assert np.array_equal(result.points.points, whole.points.points)
-    assert np.array_equal(result.mesh.vertices, whole.mesh.vertices)
+    result, resumed = gone_on(path, whole)
     assert result.report["densification"] == whole.report["densification"]
     assert resumed[1].round == seen[-1].round
     assert not path.exists()
@@ -83,13 +92,7 @@ def test_solved_fields_go_on_bit_for_bit(
 ) -> None:
     path = tmp_path / "spline.safetensors"
     seen = stopped_after(steps, path, SPLINE)
-    assert path.exists()
-    resumed: list[Progress] = []
-    result = reconstruct(CLOUD, SPLINE, checkpoint=path, on_progress=resumed.append)
-    assert field_to_bytes(result.field) == field_to_bytes(whole_spline.field)
-    assert np.array_equal(result.points.points, whole_spline.points.points)
-    assert np.array_equal(result.mesh.vertices, whole_spline.mesh.vertices)
-    assert np.array_equal(result.mesh.faces, whole_spline.mesh.faces)
+    result, resumed = gone_on(path, whole_spline, SPLINE)
     assert result.report["loss"] == whole_spline.report["loss"]
     assert resumed[1].round == seen[-1].round
     if seen[-1].stage == "extracting":
@@ -101,9 +104,7 @@ def test_a_trained_field_that_is_whole_is_not_trained_again(
 ) -> None:
     path = tmp_path / "whole.safetensors"
     assert stopped_after(12, path)[-1].stage == "extracting"
-    resumed: list[Progress] = []
-    result = reconstruct(CLOUD, CONFIG, checkpoint=path, on_progress=resumed.append)
-    assert field_to_bytes(result.field) == field_to_bytes(whole.field)
+    result, resumed = gone_on(path, whole)
     assert result.report["loss"] == whole.report["loss"]
     assert [p.step for p in resumed if p.stage == "densifying"] == [0]
 
