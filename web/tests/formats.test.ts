@@ -255,7 +255,7 @@ describe("others", () => {
     const scan = await read([await glb(document, body)]);
     const found = points(scan).map((point) => point.map((value) => Number(value.toFixed(5))));
     expect(found.flat()).toEqual([10, 2, 0, 10, 0, 6].map((value) => expect.closeTo(value, 5)));
-    expect([...(scan.colors ?? [])].slice(0, 3)).toEqual([0, 187, 255]);
+    expect([...(scan.colors ?? [])].slice(0, 3)).toEqual([0, 188, 255]);
     const packed = { ...document, extensionsRequired: ["KHR_draco_mesh_compression"] };
     await expect(read([await glb(packed, body)])).rejects.toThrow("compressed");
     await expect(read([await glb(document, body.slice(0, 9))])).rejects.toThrow("ends early");
