@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PORT ?= 8000
 
-.PHONY: default setup page up check test soak fuzz fmt clean
+.PHONY: default setup page up check test bench soak fuzz fmt clean
 default: check test
 
 # Installed once per state of the project's own requirement files.
@@ -33,6 +33,11 @@ check: setup
 test: page
 	$(BIN)/python web/build.py test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --durations 15
+
+# Every method on every shape in every condition, what docs/results has not yet: hours. With Open3D
+# where BENCH_PEERS names a Python that has it.
+bench: setup
+	$(BIN)/python benchmarks/bench.py --only-new --save
 
 # What `make test` does in short, for as long as it takes: every fault, 500 jobs, 2 000 submissions.
 soak: setup

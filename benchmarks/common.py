@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,10 +31,18 @@ FOLDERS = ("closed", "cad", "open", "layered")
 
 @dataclass(frozen=True)
 class Finished:
-    """A process that ended: wall seconds from its start, peak resident memory, what it said."""
+    """A process that ended.
+
+    Attributes:
+        seconds: wall time from its start to its end.
+        processor_s: seconds of all its threads; other load on the machine changes them little.
+        peak_mb: largest resident memory.
+        errors: what it said there.
+    """
 
     code: int
     seconds: float
+    processor_s: float
     peak_mb: float
     errors: str
 
@@ -69,18 +78,22 @@ def scan_of(mesh: Mesh, points: int, noise: float, seed: int) -> NDArray[np.floa
     return found + generator.normal(0.0, noise * bounds(mesh)[1], found.shape)
 
 
-def cold(command: Sequence[str]) -> Finished:
-    """Run a command in a fresh process and measure it from outside."""
+def cold(command: Sequence[str], limit_s: float | None = None) -> Finished:
+    """Run a command in a fresh process and measure it from outside; past the limit it is ended."""
     start = time.monotonic()
     process = subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT
     )
+    overdue = threading.Timer(limit_s or threading.TIMEOUT_MAX, process.kill)
+    overdue.start()
     errors = process.stderr.read() if process.stderr else ""
     _, status, usage = os.wait4(process.pid, 0)
+    overdue.cancel()
     seconds = time.monotonic() - start
     process.returncode = os.waitstatus_to_exitcode(status)
     kilobytes = usage.ru_maxrss / (1024 if sys.platform == "darwin" else 1)
-    return Finished(process.returncode, seconds, kilobytes / 1024, errors)
+    spent = usage.ru_utime + usage.ru_stime
+    return Finished(process.returncode, seconds, spent, kilobytes / 1024, errors)
 
 
 def provenance(**settings: Any) -> dict[str, Any]:

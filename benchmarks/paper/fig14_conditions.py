@@ -6,11 +6,10 @@ python benchmarks/paper/fig14_conditions.py --budget 1 --save
 from __future__ import annotations
 
 import numpy as np
-from lab import Variant, run
-from numpy.typing import NDArray
+from lab import Variant, conditions, run
 
 from udflow.mesh.mesh import Mesh
-from udflow.metrics.surface import bounds, sample
+from udflow.metrics.surface import bounds
 
 COUNT = 30_000
 NOTE = (
@@ -22,34 +21,6 @@ NOTE = (
 )
 
 
-def even(mesh: Mesh, seed: int) -> NDArray[np.float64]:
-    """COUNT points, evenly by area."""
-    return sample(mesh, COUNT, np.random.default_rng(seed)).points
-
-
-def outliers(mesh: Mesh, seed: int) -> NDArray[np.float64]:
-    """One point in a hundred is anywhere in the bounding box."""
-    points, generator = even(mesh, seed), np.random.default_rng(seed + 1)
-    low, high = points.min(axis=0), points.max(axis=0)
-    points[: COUNT // 100] = generator.uniform(low, high, (COUNT // 100, 3))
-    return points
-
-
-def uneven(mesh: Mesh, seed: int) -> NDArray[np.float64]:
-    """Density falls tenfold along x."""
-    generator = np.random.default_rng(seed)
-    points = sample(mesh, 4 * COUNT, generator).points
-    place = (points[:, 0] - points[:, 0].min()) / np.ptp(points[:, 0])
-    kept = generator.uniform(size=len(points)) < 10.0**-place
-    return points[kept][:COUNT]
-
-
-def missing(mesh: Mesh, seed: int) -> NDArray[np.float64]:
-    """A ball of an eighth of the extent is empty."""
-    points = even(mesh, seed)
-    return points[np.linalg.norm(points - points[0], axis=1) > bounds(mesh)[1] / 8]
-
-
 def doubled(mesh: Mesh) -> Mesh:
     """The shape and a copy half its size beside it."""
     centre, extent = bounds(mesh)
@@ -59,12 +30,12 @@ def doubled(mesh: Mesh) -> Mesh:
 
 
 VARIANTS = [
-    Variant("even", scan=even),
-    Variant("outliers", scan=outliers),
-    Variant("disconnected", scan=even, truth=doubled),
-    Variant("non-uniform", scan=uneven),
+    Variant("even", scan=conditions.even(COUNT)),
+    Variant("outliers", scan=conditions.with_outliers(0.01)),
+    Variant("disconnected", scan=conditions.even(COUNT), truth=doubled),
+    Variant("non-uniform", scan=conditions.uneven),
     Variant("noise 0.5%", noise=0.005),
-    Variant("missing", scan=missing),
+    Variant("missing", scan=conditions.missing),
 ]
 
 if __name__ == "__main__":

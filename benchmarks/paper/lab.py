@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import conditions as conditions
 from common import DATA, RESULTS, load, markdown, provenance, provenance_line, save, scan_of, shapes
 
 from udflow import picture
