@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from udflow.cloud.quadric_loops import project_rows
+from udflow.fields.spline_loops import normal_steps
 from udflow.mesh import parity_loops
 from udflow.picture_loops import draw_discs, draw_triangles
 
@@ -21,6 +22,9 @@ def load_loops() -> None:
     frames, coefficients = np.zeros((0, 3, 3), single), np.zeros((0, 6), single)
     quadrics = vectors, frames, coefficients, numbers, numbers
     project_rows(0, 0, vectors, near, closeness, *quadrics, 1.0, vectors)
+    cells = np.zeros((0, 0, 0), np.int32), np.zeros((0, 512), np.int32), np.zeros((0, 27), single)
+    grid = np.zeros(3, single), 1.0, np.zeros(3, whole), *cells
+    normal_steps(0, 0, vectors, *grid, 1, vectors, np.zeros((0, 2), whole))
     edges, faces = np.zeros((1, 3), single), np.zeros((1, 3, 4), single)
     links = np.zeros((0, 3), whole)
     parity_loops.believe(0, 0, edges, faces, links, edges)

@@ -54,9 +54,10 @@ class FittedField(ProjectiveField, Protocol):
         """(n, 3) points that are already near the surface to their feet."""
         ...
 
-    def trusts(self, points: Tensor, feet: Tensor, sites: NeighbourTree) -> Tensor:
-        """(n,) bool, whether (n, 3) points are near enough for the field alone.
+    def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
+        """Feet of (n, 3) points, and (n,) bool, where the field can be trusted alone; other feet
+        are of no use.
 
-        feet: where the field puts them, (n, 3). sites: points that are known to be on the surface.
+        sites: points that are known to be on the surface.
         """
         ...

@@ -63,10 +63,14 @@ class MLPField:
         """(n,) bool, whether points lie in the box."""
         return (points.abs() <= self.half_edge).all(dim=1)
 
-    def trusts(self, points: Tensor, feet: Tensor, sites: NeighbourTree) -> Tensor:
-        """(n,) bool, whether (n, 3) points are as near the sites as the trained queries were. What
-        the network says of its own distance is no evidence: far away it may say anything."""
-        return sites.nearest(points, 1).distance[:, 0] <= self.reach
+    def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
+        """Feet of (n, 3) points, and (n,) bool, whether they are as near the sites as the trained
+        queries were. What the network says of its own distance is no evidence: far away it may say
+        anything."""
+        near = sites.nearest(points, 1).distance[:, 0] <= self.reach
+        feet = points.clone()
+        feet[near] = self.project(points[near])
+        return feet, near
 
     @cached_property
     def _network(self) -> NetworkEvaluator:

@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
+from udflow.compiled import over_rows
 from udflow.fields.lattice import SparseLattice, neighbour_offsets
+from udflow.fields.spline_loops import normal_steps
 from udflow.flow.schedule import TimeSchedule
 
 _CHUNK = 1 << 15  # queries evaluated together: their 27 coefficients stay in the cache
@@ -106,11 +109,6 @@ class SplineLevel:
         """(n,) bool, whether points lie in the band."""
         return self._cell(points)[0] >= 0
 
-    def follows(self, points: Tensor) -> Tensor:
-        """(n,) bool, whether points lie in the band, in faithful cells."""
-        cell = self._cell(points)[0]
-        return (cell >= 0) & self.faithful[cell.clamp_min(0)]
-
     def gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """grad E of (n, 3) points, a length vector (the displacement x - foot), and (n,) bool
         that says where it is defined; zero elsewhere."""
@@ -157,6 +155,30 @@ class SplineLevel:
             dim=1,
         )
         return product * (self.grid.spacing * inside[:, None]), inside
+
+    def stepped(self, points: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """(n, 3) points moved by -(Hess E) grad E so many times, and (n, 2) the cells in which
+        they began and ended, -1 outside the band. A point that leaves the band stops there."""
+        by = self.stepped_by_tensors if points.is_cuda else self.stepped_by_loop
+        return by(points, steps)
+
+    def stepped_by_tensors(self, points: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """`stepped` on any device."""
+        first = last = self._cell(points)[0]
+        for _ in range(steps):
+            points = points - self.normal_gradient(points)[0] * (last >= 0)[:, None]
+            last = torch.where(last >= 0, self._cell(points)[0], -1)
+        return points, torch.stack([first, last], dim=1)
+
+    def stepped_by_loop(self, points: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """`stepped` of float32 points on the CPU."""
+        grid, moved = self.grid, torch.empty_like(points)
+        cells = torch.empty(len(points), 2, dtype=torch.int64)
+        places = grid.cells.table.numpy(), grid.cells.leaves.numpy(), self.rows.numpy()
+        where = grid.origin.numpy(), grid.spacing, np.array(grid.cells.shape), *places
+        over_rows(normal_steps, len(points), points.contiguous().numpy(), *where, steps,
+                  moved.numpy(), cells.numpy())  # fmt: skip
+        return moved, cells
 
     def _around(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Where points are covered, (n,); their coefficients, (3, 3, 3, n); and the weights of
@@ -214,11 +236,14 @@ class SplineField:
         point starts at the smallest t_k whose band covers it. The last step, to t = 0, is a full
         projection (dt_1 v(x, t_1) = grad E); it is made twice, and along the normal only.
         """
-        if len(points) == 0:
-            return points
-        return torch.cat([self._project(chunk) for chunk in points.split(_CHUNK)])
+        feet, cells = self.levels[0].stepped(points, _REFINEMENTS)
+        far = (cells < 0).any(dim=1).nonzero().squeeze(1)
+        if len(far) > 0:
+            chunks = points[far].split(_CHUNK)
+            feet[far] = torch.cat([self._from_afar(chunk) for chunk in chunks])
+        return feet
 
-    def _project(self, points: Tensor) -> Tensor:
+    def _from_afar(self, points: Tensor) -> Tensor:
         start = self._start(points)
         x = points.clone()
         for k in range(self.schedule.steps, 1, -1):
@@ -232,8 +257,13 @@ class SplineField:
 
     def refine(self, points: Tensor) -> Tensor:
         """Points (n, 3) near the surface to their feet, where the finest level can tell."""
-        follows = self.levels[0].follows(points) | ~self.levels[0].covers(points)
-        return torch.where(follows[:, None], self._last_step(points), points)
+        feet, cells = self.levels[0].stepped(points, 1)
+        began = cells[:, 0]
+        feet = torch.where(self._faithful(began)[:, None], feet, points)
+        outside = (began < 0).nonzero().squeeze(1)
+        if len(outside) > 0:
+            feet[outside] = self._last_step(points[outside])
+        return feet
 
     def _last_step(self, points: Tensor) -> Tensor:
         """The last step of equation (4), from t_1 to 0: x - dt_1 v(x, t_1) = x - grad E(x), along
@@ -254,12 +284,16 @@ class SplineField:
         """(n,) bool, whether points lie in the trained box."""
         return self.levels[-1].covers(points)
 
-    def trusts(self, points: Tensor, feet: Tensor, sites: NeighbourTree) -> Tensor:
-        """(n,) bool, whether (n, 3) points with these feet lie within a finest cell of them, both
+    def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
+        """Feet of (n, 3) points, and (n,) bool, whether they lie within a finest cell of them, both
         where the finest level is faithful."""
-        limit = _NEAR * self.levels[0].grid.spacing
-        near = (feet - points).norm(dim=1) < limit
-        return near & self.levels[0].follows(points) & self.levels[0].follows(feet)
+        feet, cells = self.levels[0].stepped(points, _REFINEMENTS)
+        near = (feet - points).norm(dim=1) < _NEAR * self.levels[0].grid.spacing
+        return feet, near & self._faithful(cells[:, 0]) & self._faithful(cells[:, 1])
+
+    def _faithful(self, cell: Tensor) -> Tensor:
+        """(n,) bool, whether these are cells of the finest level that follow their trajectories."""
+        return (cell >= 0) & self.levels[0].faithful[cell.clamp_min(0)]
 
     @property
     def half_edge(self) -> float:

@@ -49,8 +49,8 @@ class SurfaceField:
 
     def project(self, points: Tensor) -> Tensor:
         """Feet of (n, 3) points."""
-        feet = self.fitted.project(points)
-        far = (~self.fitted.trusts(points, feet, self.surface.tree)).nonzero().squeeze(1)
+        feet, trusted = self.fitted.answers(points, self.surface.tree)
+        far = (~trusted).nonzero().squeeze(1)
         if len(far) > 0:
             feet[far] = self.fitted.refine(self.surface.project(points[far]))
         return feet

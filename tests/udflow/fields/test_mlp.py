@@ -119,8 +119,10 @@ def test_far_away_its_own_word_is_not_taken() -> None:
     surface = SampledSurface.of(SAMPLES).surface
     sites = NeighbourTree(SAMPLES)
     far = torch.tensor([[0.0, 0.0, 1.2], [0.0, 0.0, 0.0]])
-    assert not bool(field.trusts(far, far, sites).any())
-    assert bool(field.trusts(SAMPLES[:9], SAMPLES[:9], sites).all())
+    assert not bool(field.answers(far, sites)[1].any())
+    feet, trusted = field.answers(SAMPLES[:9], sites)
+    assert bool(trusted.all())
+    assert torch.equal(feet, field.project(SAMPLES[:9]))
     feet = SurfaceField(field, surface).project(far)
     assert float(Sphere().distance(feet).max()) < 0.02
 

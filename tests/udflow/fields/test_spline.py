@@ -169,6 +169,27 @@ def test_outside_its_band_a_level_says_so_and_answers_zero() -> None:
         assert not values[1:].any()
 
 
+def test_steps_by_loop_are_steps_by_tensors() -> None:
+    """On cells full of holes, so that points begin outside, leave on their way, and stay."""
+    exact = random_level()
+    where = SplineGrid(
+        exact.grid.origin.float(), exact.grid.spacing, exact.grid.cells, exact.grid.nodes
+    )
+    level = SplineLevel.of(where, 0.3 * exact.coefficients.float())
+    points = torch.rand(3_000, 3, generator=torch.Generator().manual_seed(7)) - 0.5
+    points[:3] = torch.tensor([[9.0, 0, 0], [0, -9.0, 0], [0, torch.nan, 0]])
+    for steps in (1, 2):
+        moved, cells = level.stepped_by_loop(points, steps)
+        expected, places = level.stepped_by_tensors(points[3:], steps)
+        assert (cells[:3] == -1).all()
+        assert torch.equal(moved[:2], points[:2])
+        assert torch.equal(cells[3:], places)
+        torch.testing.assert_close(moved[3:], expected, rtol=0, atol=1e-6)
+        began, ended = (places >= 0).unbind(dim=1)
+        assert int(began.sum()) > 150
+        assert int((began & ~ended).sum()) > 15
+
+
 def layered(fine: SplineLevel, coarse: SplineLevel) -> SplineField:
     return SplineField(TimeSchedule(2), (fine, coarse))
 
