@@ -9,7 +9,7 @@ import numpy as np
 from udflow.compiled import compiled
 
 Array = Any  # a NumPy array inside a compiled loop
-Triple = tuple[float, float, float]
+Triple = tuple[Any, Any, Any]  # single precision
 _CURVATURES = (np.float32(1.0), np.float32(-2.0), np.float32(1.0))
 
 
@@ -49,7 +49,7 @@ def normal_steps(
 
 @compiled
 def _cell(
-    x: float, y: float, z: float, origin: Array, edge: float, shape: Array, table: Array,
+    x: Any, y: Any, z: Any, origin: Array, edge: Any, shape: Array, table: Array,
     leaves: Array,
 ) -> tuple[int, Triple]:  # fmt: skip
     """The number of the cell that a point lies in, -1 for none, and where in it, -1/2..1/2."""

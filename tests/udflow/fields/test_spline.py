@@ -175,7 +175,7 @@ def test_steps_by_loop_are_steps_by_tensors() -> None:
     where = SplineGrid(
         exact.grid.origin.float(), exact.grid.spacing, exact.grid.cells, exact.grid.nodes
     )
-    level = SplineLevel.of(where, 0.3 * exact.coefficients.float())
+    level = SplineLevel.of(where, 2.0 * exact.coefficients.float())
     points = torch.rand(3_000, 3, generator=torch.Generator().manual_seed(7)) - 0.5
     points[:3] = torch.tensor([[9.0, 0, 0], [0, -9.0, 0], [0, torch.nan, 0]])
     for steps in (1, 2):
@@ -184,10 +184,10 @@ def test_steps_by_loop_are_steps_by_tensors() -> None:
         assert (cells[:3] == -1).all()
         assert torch.equal(moved[:2], points[:2])
         assert torch.equal(cells[3:], places)
-        torch.testing.assert_close(moved[3:], expected, rtol=0, atol=1e-6)
+        torch.testing.assert_close(moved[3:], expected, rtol=1e-4, atol=1e-5)
         began, ended = (places >= 0).unbind(dim=1)
         assert int(began.sum()) > 150
-        assert int((began & ~ended).sum()) > 15
+        assert 15 < int((began & ~ended).sum()) < int(began.sum())
 
 
 def layered(fine: SplineLevel, coarse: SplineLevel) -> SplineField:
