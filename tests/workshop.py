@@ -68,7 +68,7 @@ class Workshop:
                 text=True,
             )
         self._workers.append(worker)
-        self.until(lambda: "Listening on" in path.read_text(), 30.0)
+        self.until(lambda: "Listening on" in path.read_text(), 60.0)
         return worker
 
     def log(self) -> str:

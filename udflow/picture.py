@@ -1,12 +1,10 @@
-"""Pictures of clouds and meshes without a GPU: a z-buffer, and PNG out.
+"""Pictures of clouds and meshes without a GPU: a z-buffer.
 
 Three pixels in each direction are drawn for one that is kept.
 """
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,20 +89,6 @@ def points_picture(
     place = canvas.projected(points)
     draw_discs(place, np.ascontiguousarray(shade), radius * _FINER, canvas.depth, canvas.light)
     return canvas.finished(relief=0.5)
-
-
-def png(image: Image) -> bytes:
-    """An RGBA image (height, width, 4) as PNG."""
-    height, width, _ = image.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
-    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_png_part(*part) for part in parts)
-
-
-def _png_part(kind: bytes, data: bytes) -> bytes:
-    check = struct.pack(">I", zlib.crc32(kind + data))
-    return struct.pack(">I", len(data)) + kind + data + check
 
 
 _PORCELAIN = np.array([0.66, 0.68, 0.70])

@@ -11,7 +11,8 @@ from typing import Any
 from udflow.fields.storage import save_field
 from udflow.mesh.export import MESH_FORMATS, write_mesh, write_points
 from udflow.mesh.mesh import Mesh
-from udflow.picture import mesh_picture, png
+from udflow.picture import mesh_picture
+from udflow.png import png
 from udflow.reconstruct import Reconstruction
 
 

@@ -28,6 +28,7 @@ from udflow.errors import UdflowError
 from udflow.fit.neural import NeuralFitting
 from udflow.mesh.mesh import Mesh
 from udflow.metrics import evaluate
+from udflow.png import png
 from udflow.reconstruct import Reconstruction, reconstruct
 
 Scan = Callable[[Mesh, int], NDArray[np.float64]]
@@ -163,7 +164,7 @@ def picture_of(name: str, panels: Sequence[Mesh | None], columns: int) -> None:
     ]
     rows = [np.hstack(images[i : i + columns]) for i in range(0, len(images), columns)]
     RESULTS.mkdir(parents=True, exist_ok=True)
-    (RESULTS / f"{name}.png").write_bytes(picture.png(np.ascontiguousarray(np.vstack(rows))))
+    (RESULTS / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.vstack(rows))))
 
 
 def _per_iteration(result: Reconstruction) -> float:

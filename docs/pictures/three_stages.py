@@ -16,7 +16,8 @@ from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.samples import sample
 from udflow.config import Config, DensifyConfig
 from udflow.mesh.mesh import Mesh
-from udflow.picture import Image, View, mesh_picture, png, points_picture
+from udflow.picture import Image, View, mesh_picture, points_picture
+from udflow.png import png
 from udflow.progress import GrownCloud
 from udflow.reconstruct import reconstruct_steps
 

@@ -21,7 +21,7 @@ from service.routes.jobs import find_snapshot
 from service.routes.udf import load_stored
 from service.services import Needs, Services
 from service.slices import Plane, picture, plane_of
-from udflow.picture import png
+from udflow.png import png
 
 if TYPE_CHECKING:
     from udflow.fields.unsigned import UnsignedDistanceField

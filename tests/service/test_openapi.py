@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -51,3 +53,12 @@ def test_every_problem_is_explained() -> None:
         code for code, (status, _) in PROBLEMS.items() if f"| {status} | `{code}` |" not in page
     ]
     assert missing == []
+
+
+def test_the_service_is_made_without_what_few_requests_need() -> None:
+    """Compiled loops and torch take seconds to load: an API that was killed is back sooner."""
+    code = (
+        "import sys, service.app; heavy = {'torch', 'numba', 'scipy'} & set(sys.modules);"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

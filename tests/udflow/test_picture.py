@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from udflow.mesh.mesh import Mesh
-from udflow.picture import Image, View, mesh_picture, png, points_picture
+from udflow.picture import Image, View, mesh_picture, points_picture
+from udflow.png import png
 
 FRONT = View((0.0, 0.0, 0.0), 2.0, azimuth=0.0, elevation=0.0)
 RED, BLUE = (255, 0, 0), (0, 0, 255)
