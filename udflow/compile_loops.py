@@ -9,7 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from udflow.cloud.quadric_loops import project_rows
+from udflow.fields.lattice_loops import find_rows
 from udflow.fields.spline_loops import normal_steps
+from udflow.fit.linear_loops import products
 from udflow.mesh import parity_loops
 from udflow.picture_loops import draw_discs, draw_triangles
 
@@ -25,6 +27,9 @@ def load_loops() -> None:
     cells = np.zeros((0, 0, 0), np.int32), np.zeros((0, 512), np.int32), np.zeros((0, 27), single)
     grid = np.zeros(3, single), 1.0, np.zeros(3, whole), *cells
     normal_steps(0, 0, vectors, *grid, 1, vectors, np.zeros((0, 2), whole))
+    find_rows(0, 0, np.zeros((0, 3), whole), grid[2], *cells[:2], np.zeros(0, whole))
+    columns, runs = np.zeros((0, 9), np.int32), np.zeros((0, 4), np.int32)
+    products(0, 0, numbers, columns, runs, 1.0, 1.0, np.zeros((1, 0), single))
     edges, faces = np.zeros((1, 3), single), np.zeros((1, 3, 4), single)
     links = np.zeros((0, 3), whole)
     parity_loops.believe(0, 0, edges, faces, links, edges)

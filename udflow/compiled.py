@@ -30,15 +30,18 @@ def compiled(function: F) -> F:
     return result
 
 
-def over_rows(loop: Callable[..., None], rows: int, *arguments: Any) -> None:
+def over_rows(
+    loop: Callable[..., None], rows: int, *arguments: Any, least: int = _LEAST_ROWS
+) -> None:
     """Runs `loop(start, stop, *arguments)` for all rows, shared among torch's number of threads.
 
     Args:
         loop: compiled; writes only what belongs to rows start..stop.
         rows: how many.
         arguments: arrays and numbers that all threads see.
+        least: rows that are worth a thread.
     """
-    count = max(1, min(torch.get_num_threads(), rows // _LEAST_ROWS))
+    count = max(1, min(torch.get_num_threads(), rows // least))
     ends = [rows * i // count for i in range(count + 1)]
     others = [Thread(target=loop, args=(ends[i], ends[i + 1], *arguments)) for i in range(1, count)]
     for thread in others:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from udflow.compiled import over_rows
+from udflow.fields.lattice_loops import find_rows
 
 BLOCK = 8  # lattice points along the edge of a leaf block
 _LEAF = BLOCK**3
@@ -66,6 +70,19 @@ class SparseLattice:
         Returns:
             (...) int64, -1 where the point is not active or outside the lattice.
         """
+        by = self.find_by_tensors if coordinates.is_cuda else self.find_by_loop
+        return by(coordinates)
+
+    def find_by_loop(self, coordinates: Tensor) -> Tensor:
+        """`find` on the CPU."""
+        rows = coordinates.reshape(-1, 3).contiguous()
+        number = torch.empty(len(rows), dtype=torch.int64)
+        arrays = np.array(self.shape), self.table.numpy(), self.leaves.numpy(), number.numpy()
+        over_rows(find_rows, len(rows), rows.numpy(), *arrays)
+        return number.view(coordinates.shape[:-1])
+
+    def find_by_tensors(self, coordinates: Tensor) -> Tensor:
+        """`find` on any device."""
         x, y, z = coordinates.unbind(dim=-1)
         nx, ny, nz = self.shape
         inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny) & (z >= 0) & (z < nz)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from udflow.compiled import compiled
+from udflow.fields.lattice_loops import number_of
 
 Array = Any  # a NumPy array inside a compiled loop
 Triple = tuple[Any, Any, Any]  # single precision
@@ -56,12 +57,10 @@ def _cell(
     u, v, w = (x - origin[0]) / edge, (y - origin[1]) / edge, (z - origin[2]) / edge
     a, b, c = np.rint(u), np.rint(v), np.rint(w)
     at = (u - a, v - b, w - c)
-    # the comparison as floats also sends away what is not a number
+    # the comparison as floats sends away what is no number, and what no integer holds
     if not (0 <= a < shape[0] and 0 <= b < shape[1] and 0 <= c < shape[2]):
         return -1, at
-    i, j, k = int(a), int(b), int(c)
-    leaf = table[i >> 3, j >> 3, k >> 3]
-    return int(leaves[leaf, ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)]), at
+    return number_of(int(a), int(b), int(c), shape, table, leaves), at
 
 
 @compiled

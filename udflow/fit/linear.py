@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from udflow.compiled import over_rows
 from udflow.errors import Diverged
 from udflow.fields.spline import SplineGrid, SplineLevel, quadratic_weights
+from udflow.fit.linear_loops import products
 
 _VALUE_WEIGHT = 0.05  # of the energy's own value against its three slopes
 _TOLERANCE = 1e-3
@@ -24,6 +27,7 @@ _MOST_ITERATIONS = 100  # beyond it they grow like its root, up to here
 _SLACK = 0.04  # cells by which slopes may miss their displacement
 _MIDDLE = 13  # of the 27 nodes of a cell, the one at its centre
 _THIRD_DIFFERENCE = (-1.0, 3.0, -3.0, 1.0)
+_PARTS = 2  # of the cells, whose products are summed apart
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,19 @@ class _NormalSystem:
 
     def product(self, coefficients: Tensor) -> Tensor:
         """(A^T A + smoothness D^T D) c."""
+        by = self.product_by_tensors if coefficients.is_cuda else self.product_by_loop
+        return by(coefficients)
+
+    def product_by_loop(self, coefficients: Tensor) -> Tensor:
+        """`product` on the CPU."""
+        sums = coefficients.new_empty(_PARTS, self.nodes)
+        arrays = coefficients.numpy(), self._columns.numpy(), self._short_runs.numpy()
+        numbers = _VALUE_WEIGHT, self.smoothness
+        over_rows(products, _PARTS, *arrays, *numbers, sums.numpy(), least=1)
+        return sums.sum(dim=0)
+
+    def product_by_tensors(self, coefficients: Tensor) -> Tensor:
+        """`product` on any device."""
         observed = coefficients[self.cell_nodes] @ self.design.T
         result = self.scattered(observed @ self.design)
         kernel = coefficients.new_tensor(_THIRD_DIFFERENCE)
@@ -133,7 +150,12 @@ class _NormalSystem:
         """A first guess: per node the mean energy of the cells that use it."""
         energy = self.observed[:, 3:] / _VALUE_WEIGHT**0.5
         total = self.scattered(energy.expand(-1, 27))
-        return total / self.scattered(torch.ones_like(energy).expand(-1, 27)).clamp_min(1)
+        return total / self.sharing.clamp_min(1)
+
+    @cached_property
+    def sharing(self) -> Tensor:
+        """(n,) number of cells that use each node."""
+        return self.scattered(torch.ones_like(self.observed[:, :1]).expand(-1, 27))
 
     def slack(self, coefficients: Tensor) -> Tensor:
         """(c,) norm of the slope residual at every query, in cells."""
@@ -143,9 +165,16 @@ class _NormalSystem:
     def around(self, per_cell: Tensor) -> Tensor:
         """Mean of (c,) values over each cell and those that touch it."""
         total = self.scattered(per_cell[:, None].expand(-1, 27))
-        count = self.scattered(torch.ones_like(per_cell)[:, None].expand(-1, 27))
         middle = self.cell_nodes[:, _MIDDLE]
-        return total[middle] / count[middle]
+        return total[middle] / self.sharing[middle]
+
+    @cached_property
+    def _columns(self) -> Tensor:
+        return self.cell_nodes[:, ::3].int()
+
+    @cached_property
+    def _short_runs(self) -> Tensor:
+        return self.runs.int()
 
     def scattered(self, per_cell: Tensor) -> Tensor:
         """Sum of (c, 27) contributions per node."""
@@ -163,14 +192,14 @@ def _design(device: torch.device) -> Tensor:
 
 def _runs_of_four(grid: SplineGrid) -> Tensor:
     """(m, 4) numbers of nodes that are consecutive along an axis."""
+    coordinates = grid.nodes.coordinates
     runs = []
-    for axis in range(3):
-        step = torch.zeros(3, dtype=torch.int64, device=grid.nodes.coordinates.device)
-        step[axis] = 1
-        run = torch.stack(
-            [grid.nodes.find(grid.nodes.coordinates + i * step) for i in (-1, 0, 1, 2)], dim=1
-        )
-        runs.append(run[(run >= 0).all(dim=1)])
+    for step in torch.eye(3, dtype=torch.int64, device=coordinates.device):
+        following = torch.cat([grid.nodes.find(coordinates + step), coordinates.new_tensor([-1])])
+        run = [torch.arange(len(coordinates), device=coordinates.device)]
+        for _ in range(3):
+            run.append(following[run[-1]])  # -1 reads the last entry, -1
+        runs.append(torch.stack(run, dim=1)[run[-1] >= 0])
     return torch.cat(runs)
 
 

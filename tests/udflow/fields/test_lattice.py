@@ -41,7 +41,9 @@ def test_a_look_up_is_that_of_a_dictionary(case: tuple[Shape, list[Point]], othe
     lattice = SparseLattice.from_distinct(tensor(points), shape)
     number = {point: i for i, point in enumerate(points)}
     asked = points + others
-    assert lattice.find(tensor(asked)).tolist() == [number.get(point, -1) for point in asked]
+    expected = [number.get(point, -1) for point in asked]
+    assert lattice.find_by_loop(tensor(asked)).tolist() == expected
+    assert lattice.find_by_tensors(tensor(asked)).tolist() == expected
     assert len(lattice) == len(points)
 
 

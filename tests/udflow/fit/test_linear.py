@@ -114,6 +114,16 @@ def test_it_tends_to_the_dense_solution(
     assert fit.residual == pytest.approx((misfit**2).sum(axis=1).mean() * SPACING**2, rel=1e-3)
 
 
+@pytest.mark.parametrize("keep", [1.0, 0.4], ids=["full", "sparse"])
+def test_products_by_loop_are_products_by_tensors(keep: float) -> None:
+    where = grid(side=8, keep=keep)
+    system = linear._NormalSystem.of(where, displacement_from_sphere(where), 0.3)
+    coefficients = torch.randn(system.nodes, generator=torch.Generator().manual_seed(4))
+    expected = system.product_by_tensors(coefficients)
+    found = system.product_by_loop(coefficients)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
+
+
 def test_few_iterations_are_enough() -> None:
     """The solve stops early; what it then misses is small beside what a spline cannot resolve."""
     where = grid(side=6)
