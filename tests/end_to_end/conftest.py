@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from user_steps import KEY, Finished, sphere, submit, wait
+from user_steps import Finished, sphere, submit, wait
 from whole_service import running
 
 
@@ -21,13 +21,6 @@ def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def url(data_folder: Path) -> Iterator[str]:
     """The address of a running service."""
     with running(data_folder) as address:
-        yield address
-
-
-@pytest.fixture
-def locked_url(tmp_path: Path) -> Iterator[str]:
-    """The address of a service that wants KEY."""
-    with running(tmp_path / "data", UDFLOW_KEY=KEY) as address:
         yield address
 
 

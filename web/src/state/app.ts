@@ -29,8 +29,11 @@ export const trouble = signal<string | null>(null);
 export const spoken = signal("");
 
 export const prefersStill = matchMedia("(prefers-reduced-motion: reduce)");
-export const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 export const isPhone = matchMedia("(pointer: coarse) and (max-width: 900px)");
+
+const darkSystem = matchMedia("(prefers-color-scheme: dark)");
+/** Whether the system asks for dark pages. */
+export const prefersDark = signal(darkSystem.matches);
 
 /** Goes to a route, so that the back button leads back. */
 export function go(next: Route): void {
@@ -45,7 +48,7 @@ export function setTheme(next: Theme): void {
 
 /** Whether the page is dark now. */
 export function isDark(): boolean {
-  return theme.value === "dark" || (theme.value === "system" && prefersDark.matches);
+  return theme.value === "dark" || (theme.value === "system" && prefersDark.value);
 }
 
 /** What the start page needs. */
@@ -75,6 +78,9 @@ export function colorNow(name: string): string {
 /** Follows the address bar from now on. */
 export function begin(): void {
   document.documentElement.dataset.theme = theme.value;
+  darkSystem.addEventListener("change", () => {
+    prefersDark.value = darkSystem.matches;
+  });
   addEventListener("hashchange", () => {
     route.value = routeOf(location.hash);
   });

@@ -105,6 +105,7 @@ effect(() => {
 /** Takes a file: shows what is in it, and sends nothing. */
 export function take(file: Blob, name: string, sample: string | null = null): void {
   forget();
+  up.value = "z";
   draft.value = { name, bytes: file.size, file, sample };
   reading.value = true;
   const most = isPhone.matches ? MOST_ON_PHONES : MOST_POINTS;

@@ -21,6 +21,7 @@ export function DraftPanel() {
       {draft.reading.value && <p class="quiet">Reading the points…</p>}
       {found && <Facts rows={factsOf(found, current.bytes)} />}
       {found && <Warnings words={warningsOf(found)} />}
+      {found && noteOf(found) && <p class="quiet">{noteOf(found)}</p>}
       {trouble && (
         <Trouble title={trouble.title}>
           <p>{sentence(trouble.words)}</p>
@@ -68,10 +69,14 @@ export function warningsOf(scan: Scan): string[] {
     );
   }
   if (scan.total < FEW) words.push(`There are few points; at least ${FEW} are needed.`);
-  const shown = scan.positions.length / 3;
-  if (scan.note) words.push(scan.note);
-  else if (shown < scan.total) words.push(`The picture shows ${count(shown)} of the points.`);
   return words;
+}
+
+/** What is to be known of the picture. */
+function noteOf(scan: Scan): string | null {
+  const shown = scan.positions.length / 3;
+  if (scan.note || shown === scan.total) return scan.note;
+  return `The picture shows ${count(shown)} of the points.`;
 }
 
 function Settings() {

@@ -5,6 +5,7 @@ import { length, placeWithin } from "../pure/format";
 import { draft } from "../state/draft";
 import { compared, frames, result, scan } from "../state/job";
 import * as look from "../state/look";
+import { sentence } from "./parts";
 
 export function Legends() {
   return (
@@ -74,7 +75,8 @@ function HeatLegend() {
 function SliceLegend() {
   const scale = look.sliceScale.value;
   const about = scan.value;
-  if (look.sliceProblem.value) return <div class="legend bad">{look.sliceProblem.value}</div>;
+  if (look.sliceProblem.value)
+    return <div class="legend bad">{sentence(look.sliceProblem.value)}</div>;
   return (
     <div class="legend">
       <p class="scale-title">Distance to the surface</p>

@@ -1,6 +1,6 @@
 import { useEffect, useRef } from "preact/hooks";
 import type uPlot from "uplot";
-import { theme } from "../state/app";
+import { isDark } from "../state/app";
 import { losses } from "../state/job";
 
 /** Loss over seconds, on a logarithmic scale. */
@@ -24,7 +24,7 @@ export function LossChart() {
       chart.current?.destroy();
       chart.current = null;
     };
-  }, [theme.value]);
+  }, [isDark()]);
   useEffect(() => chart.current?.setData(data), [points]);
   const last = points.at(-1)?.loss ?? 0;
   return (

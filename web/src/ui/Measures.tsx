@@ -1,8 +1,8 @@
 /** How long things are, and which way they lie. */
 
 import { length, roundStep } from "../pure/format";
-import { route } from "../state/app";
-import { draft } from "../state/draft";
+import { preview } from "../state/draft";
+import { frames, result } from "../state/job";
 import { view } from "../state/look";
 
 const LONGEST = 130; // pixels of the scale bar
@@ -12,7 +12,8 @@ const NAMES = ["x", "y", "z"] as const;
 
 export function Measures() {
   const found = view.value;
-  if (!found || (route.value.page === "start" && !draft.value)) return null;
+  const isEmpty = !preview.value && !frames.value.points && !result.value;
+  if (!found || isEmpty) return null;
   const whole = roundStep(LONGEST * found.perPixel);
   const words = `${length(whole)} in the units of the scan`;
   return (

@@ -27,6 +27,7 @@ export function ResultPanel({ job }: { job: Job }) {
       {report && <p class="lead">{summaryOf(job)}</p>}
       <Loading job={job} />
       {report && <Facts rows={factsOf()} />}
+      {report && <small>Lengths are in the units of the scan.</small>}
       <Warnings words={job.warnings} />
       <Distances />
       <section>

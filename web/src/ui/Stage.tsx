@@ -6,7 +6,7 @@ import { bounds } from "../pure/distance";
 import { length } from "../pure/format";
 import type { Frame } from "../pure/frame";
 import { heroFrame, heroPoints, heroRounds } from "../pure/hero";
-import { colorNow, prefersDark, prefersStill, route, theme } from "../state/app";
+import { colorNow, isDark, prefersStill, route } from "../state/app";
 import { crop, draft, preview, reading } from "../state/draft";
 import { compared, frames, job, result, scan } from "../state/job";
 import * as look from "../state/look";
@@ -101,12 +101,10 @@ function attach(canvas: HTMLCanvasElement): (() => void) | undefined {
     lost.value = gone;
   };
   viewer.value = made;
-  const repaint = () => made.setPalette(paletteNow());
-  prefersDark.addEventListener("change", repaint);
   const stops = [
     effect(() => {
-      void theme.value;
-      repaint();
+      void isDark();
+      made.setPalette(paletteNow());
     }),
     showHero(made),
     showDraft(made),
@@ -118,7 +116,6 @@ function attach(canvas: HTMLCanvasElement): (() => void) | undefined {
   ];
   return () => {
     for (const stop of stops) stop();
-    prefersDark.removeEventListener("change", repaint);
     viewer.value = null;
     made.dispose();
   };
@@ -131,7 +128,8 @@ function showHero(made: Viewer): () => void {
     clearTimeout(timer);
     if (route.value.page !== "start" || draft.value) return;
     made.clear();
-    made.setBounds(...boundsOf(heroFrame(heroRounds)));
+    const whole = heroFrame(heroRounds);
+    made.setBounds(...boundsOf(whole), whole);
     const grow = (round: number) => {
       made.showFrame(heroFrame(round), heroPoints);
       if (round < heroRounds) timer = window.setTimeout(() => grow(round + 1), HERO_STEP_MS);

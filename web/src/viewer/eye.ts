@@ -1,9 +1,9 @@
 /** Where the picture is seen from. */
 
-import { type Box3, PerspectiveCamera, Quaternion, Spherical, Vector3 } from "three";
+import { PerspectiveCamera, Quaternion, Spherical, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const FRAMED = 0.84; // of the smaller side that the data fills
+const FRAMED = 0.8; // of the smaller side that the data fills
 const HOME = new Vector3(-0.52, -1, 0.46).normalize(); // with z up
 const Z = new Vector3(0, 0, 1);
 const Y = new Vector3(0, 1, 0);
@@ -38,25 +38,28 @@ export class Eye {
     this.controls = this.attached();
   }
 
-  /** Stands where all of a box around the centre is seen. */
-  frame(box: Box3): void {
+  /** Stands where all points (n x 3, in the scene) are seen, as near as can be.
+   *
+   * A point with the coordinates a to the right and c towards the viewer is seen where
+   * |a - shift| <= wide * (distance - c): two bounds for each direction of the screen, of which
+   * the best shift makes both equal. */
+  frame(points: Float32Array): void {
     const towards = HOME.clone().applyQuaternion(turned(Z, this.up));
     const right = this.up.clone().cross(towards).normalize();
     const over = towards.clone().cross(right);
     const tall = Math.tan((this.camera.fov * Math.PI) / 360) * FRAMED;
     const wide = tall * this.camera.aspect;
-    let distance = 0.1;
-    for (let corner = 0; corner < 8; corner++) {
-      const at = new Vector3(
-        corner & 1 ? box.max.x : box.min.x,
-        corner & 2 ? box.max.y : box.min.y,
-        corner & 4 ? box.max.z : box.min.z,
-      );
-      const needed = Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(over)) / tall);
-      distance = Math.max(distance, needed + at.dot(towards));
-    }
-    this.controls.target.set(0, 0, 0);
-    this.camera.position.copy(towards).multiplyScalar(distance);
+    const most = [right, over].flatMap((way, i) => {
+      const slope = way.clone().divideScalar(i === 0 ? wide : tall);
+      return [towards.clone().add(slope), towards.clone().sub(slope)];
+    });
+    const [east, west, north, south] = most.map((way) => farthest(points, way));
+    const distance = Math.max((east + west) / 2, (north + south) / 2, 0.05);
+    this.controls.target
+      .copy(right)
+      .multiplyScalar((wide * (east - west)) / 2)
+      .addScaledVector(over, (tall * (north - south)) / 2);
+    this.camera.position.copy(this.controls.target).addScaledVector(towards, distance);
     this.controls.update();
     this.hasMoved = false;
   }
@@ -115,6 +118,15 @@ export class Eye {
     });
     return controls;
   }
+}
+
+/** How far points reach in a direction. */
+function farthest(points: Float32Array, { x, y, z }: Vector3): number {
+  let most = Number.NEGATIVE_INFINITY;
+  for (let i = 0; i < points.length; i += 3) {
+    most = Math.max(most, points[i] * x + points[i + 1] * y + points[i + 2] * z);
+  }
+  return most;
 }
 
 function turned(from: Vector3, to: Vector3): Quaternion {

@@ -24,7 +24,7 @@ import { Eye, type View } from "./eye";
 import { type CloudData, type PointColors, PointsLayer } from "./points";
 import { Relief } from "./relief";
 import { SliceLayer } from "./slice";
-import { type Space, spaceOf, type Vector } from "./space";
+import { cornersOf, type Space, sampleOf, spaceOf, type Vector } from "./space";
 import { type MeshColors, type MeshData, SurfaceLayer } from "./surface";
 
 export interface Look {
@@ -74,6 +74,9 @@ export class Viewer {
   private readonly cropBox = new CropBox();
   private readonly watching: ResizeObserver;
   private space: Space = { centre: [0, 0, 0], extent: 1 };
+  private kept: Box | null = null;
+  /** Some of what is shown, in the scene: the picture is framed by it. */
+  private sample: Float32Array | null = null;
   private box = new Box3(new Vector3(-0.5, -0.5, -0.5), new Vector3(0.5, 0.5, 0.5));
   private clipAxis: { axis: number; at: number } | null = null;
   private look: Look = {
@@ -115,16 +118,18 @@ export class Viewer {
     this.frame();
   }
 
-  /** Makes place for data in this box, in world coordinates. */
-  setBounds(low: Vector, high: Vector): void {
+  /** Makes place for data in this box, in world coordinates. coming: what will fill it, if that is
+   * known; else the picture is framed by what comes first. */
+  setBounds(low: Vector, high: Vector, coming?: CloudData): void {
     this.space = spaceOf(low, high);
     const half = high.map((value, i) => (value - low[i]) / 2 / this.space.extent);
     this.box = new Box3(
       new Vector3(...half.map((value) => -value)),
       new Vector3(...(half as [number, number, number])),
     );
+    this.sample = coming ? sampleOf(coming, this.space) : null;
+    this.setCrop(this.kept);
     if (!this.eye.hasMoved) this.frame();
-    this.invalidate();
   }
 
   /** Takes everything away. */
@@ -137,8 +142,7 @@ export class Viewer {
     this.surface.triangles = 0;
     this.clipAxis = null;
     this.eye.hasMoved = false;
-    this.cropBox.show(null, this.space);
-    this.cloud.crop(null);
+    this.sample = null;
     this.apply();
   }
 
@@ -146,6 +150,7 @@ export class Viewer {
   showCloud(data: CloudData): void {
     this.cloud.uniforms.newest.value = 0;
     this.cloud.show(data, this.space);
+    this.lookAt(data);
     this.apply();
   }
 
@@ -167,6 +172,7 @@ export class Viewer {
       this.surface.show({ ...frame, positions: frame.positions.slice() }, this.space);
     } else {
       this.cloud.show(frame, this.space, room);
+      if (!this.sample) this.lookAt(frame);
       this.cloud.uniforms.rounds.value = frame.rounds;
       if (frame.round > this.cloud.uniforms.newest.value) this.bornAt = performance.now();
       this.cloud.uniforms.newest.value = frame.round;
@@ -214,7 +220,7 @@ export class Viewer {
 
   /** Stands where all of the data is seen. */
   frame(): void {
-    this.eye.frame(this.box);
+    this.eye.frame(this.sample ?? cornersOf(this.box));
     this.invalidate();
   }
 
@@ -231,6 +237,7 @@ export class Viewer {
 
   /** The box that is to be kept, with what is outside of it faint; null shows all alike. */
   setCrop(box: Box | null): void {
+    this.kept = box;
     this.cropBox.show(box, this.space);
     this.cloud.crop(this.cropBox.object.visible ? this.cropBox.object.box : null);
     this.invalidate();
@@ -275,6 +282,12 @@ export class Viewer {
       this.arrivedAt = null;
     }
   };
+
+  /** Frames what is shown by its points. */
+  private lookAt(data: CloudData): void {
+    this.sample = sampleOf(data, this.space);
+    if (!this.eye.hasMoved) this.frame();
+  }
 
   private drawSplit(width: number, height: number, share: number): void {
     const { target } = this.relief;
