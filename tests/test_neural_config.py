@@ -32,6 +32,7 @@ LIMITS: list[tuple[type, str, list[Any], list[Any]]] = [
     (TrainingConfig, "queries", [1_000, 100_000_000], [999, 100_000_001]),
     (TrainingConfig, "spread", [1e-9, 10.0], [0.0, -0.25, 10.1, float("inf")]),
     (TrainingConfig, "value_weight", [0.0, 1e3], [-1.0, 1001.0, float("nan")]),
+    (TrainingConfig, "sided", [0, 1_000_000], [-1, 1_000_001]),
     (TrainingConfig, "far", [0.0, 1.0], [-0.1, 1.1]),
     (TrainingConfig, "targets", ["points", "quadrics"], ["planes"]),
     (TrainingConfig, "pull_loss", ["chamfer", "points"], ["hausdorff"]),
@@ -74,6 +75,7 @@ def test_the_paper_to_the_letter(capsys: pytest.CaptureFixture[str]) -> None:
     assert (training["iterations"], training["optimiser"]) == (60_000, "adam")
     assert (training["learning_rate"], training["warmup"]) == (1e-3, 1_000)
     assert (training["targets"], training["value_weight"]) == ("points", 0.0)
+    assert training["sided"] == 0
     assert densify == {
         "target_points": 30_000,
         "points_per_round": 2_000,

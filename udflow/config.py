@@ -169,6 +169,7 @@ _PAPER = {
         warmup=1_000,
         queries=1_000_000,
         value_weight=0.0,
+        sided=0,
         targets="points",
     ),
     "densify": DensifyConfig(points_per_round=2_000, guard="none"),

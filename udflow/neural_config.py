@@ -95,6 +95,9 @@ class TrainingConfig(Strict):
     queries: trajectories drawn before a fit, and used again and again.
     spread: standard deviation of queries around their sample, in distances to its 50th neighbour.
     value_weight: of (d - sqrt(t) |x_1 - x_0|)^2 beside equation (3); the paper has none.
+    sided: iterations (at most a third) in which a first fit with network.output "abs" also learns
+        on which side of the surface a query lies, by a sign guessed from the data; 0 is the
+        paper's, which leaves it to chance.
     far: share of the queries drawn from the whole box instead.
     targets: where trajectories end: "points" is the paper's nearest sample, "quadrics" the nearest
         point of local quadrics fitted to the samples.
@@ -103,7 +106,7 @@ class TrainingConfig(Strict):
     precision: of matrix products. "tf32" and "bfloat16" are for CUDA; sums stay in float32.
     """
 
-    iterations: int = 7_000
+    iterations: int = 5_000
     batch: int = 2_000
     optimiser: Optimiser = "muon"
     learning_rate: float = 2e-3
@@ -111,6 +114,7 @@ class TrainingConfig(Strict):
     queries: int = 400_000
     spread: float = 0.25
     value_weight: float = 0.0
+    sided: int = 300
     far: float = 0.0
     targets: Targets = "quadrics"
     pull_loss: PullLoss = "chamfer"
@@ -121,6 +125,7 @@ class TrainingConfig(Strict):
         self._check_whole("batch", 100, 1_000_000)
         self._check_whole("warmup", 0, 1_000_000)
         self._check_whole("queries", 1_000, 100_000_000)
+        self._check_whole("sided", 0, 1_000_000)
         require(
             0.0 < self.learning_rate <= 1.0,
             f"training.learning_rate is {self.learning_rate}; choose a number above 0 and up to 1 "

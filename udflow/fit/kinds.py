@@ -86,4 +86,6 @@ def fitting_of(
         return SplineFitting(surface, config)
     parameters = getattr(earlier.field, "parameters", None) if earlier is not None else None
     iterations = iterations_of(number, rounds, config)
-    return NeuralFitting(samples, surface, config, iterations, parameters, generator)
+    return NeuralFitting(
+        samples, surface, config, iterations, parameters, generator, first=number == 0
+    )

@@ -15,6 +15,7 @@ from udflow.fields.mlp import MLPField
 from udflow.fields.network import Network, started
 from udflow.fit.objectives import Objective, pull_objective, trajectory_objective
 from udflow.fit.queries import BOX, Trajectories, draw_trajectories
+from udflow.fit.sides import sides
 from udflow.fit.training import Trainer, trainer_for
 from udflow.flow.schedule import TimeSchedule
 from udflow.neural_config import NetworkConfig
@@ -63,6 +64,7 @@ class NeuralFitting:
         iterations: to make.
         earlier: parameters of the fit before, to go on from; None starts anew.
         generator: source of the trajectories and their order, on the CPU.
+        first: whether it is the fit to the measured points, which may be told sides.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class NeuralFitting:
         iterations: int,
         earlier: Tensor | None,
         generator: torch.Generator,
+        first: bool = True,
     ) -> None:
         self._config = config
         self._schedule = TimeSchedule(config.flow.steps)
@@ -82,6 +85,9 @@ class NeuralFitting:
             earlier = started(network, torch.Generator().manual_seed(config.seed))
         ends = surface if config.training.targets == "quadrics" else None
         trajectories = draw_trajectories(samples, ends, config.training, generator)
+        if first and self._sided():
+            side = sides(surface.surface, trajectories.query, trajectories.foot)
+            trajectories = replace(trajectories, side=side)
         self._reach = _REACH * trajectories.reach
         self.total = iterations
         self.trainer = self._trainer(network, earlier.clone(), trajectories, iterations, generator)
@@ -107,6 +113,11 @@ class NeuralFitting:
             iterations,
             generator,
         )
+
+    def _sided(self) -> bool:
+        """Whether s may change its sign across the surface, and is to be told where."""
+        plain = self._config.field == "mlp" and self._architecture.output == "abs"
+        return plain and self._config.training.sided > 0
 
     def _objective(self) -> Objective:
         output, training = self._architecture.output, self._config.training

@@ -41,6 +41,12 @@ def trajectory_objective(output: Output, value_weight: float = 0.0) -> Objective
     return objective
 
 
+def by_side(s: Tensor, query: Tensor, foot: Tensor, t: Tensor, side: Tensor) -> Tensor:
+    """Derivative by s of (s - side sqrt(t) |x_1 - x_0|)^2, (n,): s is drawn to the value that the
+    ideal field has, positive on one side of the surface and negative on the other."""
+    return 2 * (s - side * t.sqrt() * velocity_target(query, foot).norm(dim=1))
+
+
 def pull_objective(output: Output, loss: PullLoss) -> Objective:
     """The loss of CAP-UDF (Zhou et al. 2022): a query pulled along the unit slope by its distance,
     q' = q - d grad d / |grad d|, has to arrive at the surface.

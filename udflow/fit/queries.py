@@ -24,11 +24,13 @@ class Trajectories:
         query: x_1, (m, 3), unit frame.
         foot: x_0, (m, 3).
         reach: root mean square distance of the queries near the surface from it.
+        side: (m,) 1 or -1, the side of the surface that a query lies on; None where no matter.
     """
 
     query: Tensor
     foot: Tensor
     reach: float
+    side: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.query)

@@ -15,13 +15,14 @@ from udflow.fields.network import Network
 from udflow.fields.outputs import output_factor
 from udflow.fields.passes import Pass, TimedNetwork
 from udflow.fit.adam import optimiser_for
-from udflow.fit.objectives import Objective
+from udflow.fit.objectives import Objective, by_side
 from udflow.fit.queries import Trajectories
 from udflow.flow.schedule import TimeSchedule
 from udflow.flow.trajectory import interpolate
 from udflow.neural_config import Precision, TrainingConfig
 
 REPORT_EVERY = 100  # iterations between two looks at the loss: a look waits for the device
+_SIDED_SHARE = 3  # a start with sides takes no more than one of so many parts
 _RETRIES = 3  # times a fit that is not finite goes back and tries half the learning rate
 
 
@@ -99,6 +100,8 @@ class Trainer:
         self._row_times = self._times.repeat_interleave(per_time)[:, None]
         self._factor = output_factor(self.network.config.scale, self._row_times[:, 0])
         self._index = torch.zeros(self._rows, dtype=torch.int64, device=self.parameters.device)
+        self._sided = min(self._config.sided, self.iterations // _SIDED_SHARE)
+        self._side_weight = self.parameters.new_zeros(())
 
     def _prepare_products(self, config: TrainingConfig) -> None:
         low = config.precision == "bfloat16"
@@ -132,6 +135,7 @@ class Trainer:
         self._index.copy_(self._next_rows(), non_blocking=True)
         rate = learning_rate(self.iteration, self.iterations, self._config)
         self.optimiser.prepare(rate * self.rate_scale)
+        self._side_weight.fill_(1 / self._rows if self.iteration < self._sided else 0.0)
         self._step()
         self.iteration += 1
 
@@ -164,10 +168,12 @@ class Trainer:
         weights = self.network.views(self._products)
         timed = TimedNetwork.at(self.network, weights, self._times.to(self._products.dtype))
         value, slope = self._room.run(timed, state)
-        factor = self._factor
-        loss, by_value, by_slope = self._objective(
-            value * factor, slope * factor[:, None], query, foot, self._row_times[:, 0]
-        )
+        factor, t = self._factor, self._row_times[:, 0]
+        s = value * factor
+        loss, by_value, by_slope = self._objective(s, slope * factor[:, None], query, foot, t)
+        if self._trajectories.side is not None:
+            side = self._trajectories.side[self._index]
+            by_value = by_value + self._side_weight * by_side(s, query, foot, t, side)
         self._room.pull_back(
             by_value * factor, by_slope * factor[:, None], self.network.views(self._gradient)
         )
