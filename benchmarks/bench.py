@@ -50,12 +50,13 @@ class _Book:
         return records.read(self.file, self.settings)
 
     def add(self, row: Row) -> None:
-        """Read again before each row: two sittings may write at the same time."""
-        rows = self.rows() | {records.key(row): row}
-        self._written(rows)
+        """A row joins those in the file, which another sitting may have written meanwhile."""
+        with records.alone(self.file):
+            self._written(self.rows() | {records.key(row): row})
 
     def publish(self) -> None:
-        rows = self._written(self.rows())
+        with records.alone(self.file):
+            rows = self._written(self.rows())
         publish(self.name, rows, RESULTS)
         print(f"wrote {(RESULTS / self.name).relative_to(ROOT)}.json, .md, _all.md and .svg")
 

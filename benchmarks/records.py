@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import json
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,6 +21,16 @@ Key = tuple[str, str, str]
 def key(row: Row) -> Key:
     """What a row is the answer to; a newer row takes the place of an older one."""
     return row["shape"], row["condition"], row["method"]
+
+
+@contextmanager
+def alone(file: Path) -> Iterator[None]:
+    """Nobody else who asks is between reading and writing this file."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    name = hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:16]
+    with Path(tempfile.gettempdir(), f"udflow-bench-{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def read(file: Path, settings: Settings) -> dict[Key, Row]:
@@ -50,7 +64,6 @@ def write(
 
     ordered = sorted(rows, key=place)
     lines = ",\n".join(json.dumps(row) for row in ordered)
-    file.parent.mkdir(parents=True, exist_ok=True)
     settings_text = json.dumps(_plain(settings))
     file.write_text(f'{{"settings": {settings_text},\n"rows": [\n{lines}\n]}}\n')
     return ordered
