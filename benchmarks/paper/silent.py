@@ -1,6 +1,6 @@
 """What the paper leaves open, each with its switch: one change at a time.
 
-python benchmarks/paper/silent.py --budget 2 --save
+python benchmarks/paper/silent.py --budget 1 --save
 """
 
 from lab import Variant, run
@@ -8,6 +8,7 @@ from lab import Variant, run
 NOTE = "The preset of the run, and one decision changed at a time. Equal time for each."
 VARIANTS = [
     Variant("as it is"),
+    Variant("sides left to chance", {"training": {"sided": 0}}),
     Variant("output relu", {"network": {"output": "relu"}}),
     Variant("output softplus", {"network": {"output": "softplus"}}),
     Variant("scale learned", {"network": {"scale": "learned"}}),
