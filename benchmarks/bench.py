@@ -133,7 +133,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--resolution", type=int, default=256)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--samples", type=int, default=50_000, help="for the metrics")
+    parser.add_argument("--samples", type=int, default=30_000, help="for the metrics")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--name", default="bench", help="of the files in docs/results")
     parser.add_argument("--only-new", action="store_true", help="rows that the table lacks")
