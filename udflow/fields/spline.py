@@ -22,7 +22,7 @@ from udflow.flow.schedule import TimeSchedule
 
 _CHUNK = 1 << 15  # queries evaluated together: their 27 coefficients stay in the cache
 _REFINEMENTS = 2  # full projections at the finest level
-_NEAR = 1.0  # cells of the finest level within which the spline is trusted alone
+_NEAR = 1.5  # faithful cells of the finest level within which the spline is trusted alone
 
 
 def quadratic_weights(r: Tensor) -> tuple[Tensor, Tensor]:
@@ -285,7 +285,7 @@ class SplineField:
         return self.levels[-1].covers(points)
 
     def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
-        """Feet of (n, 3) points, and (n,) bool, whether they lie within a finest cell of them, both
+        """Feet of (n, 3) points, and (n,) bool, whether they lie within 1.5 finest cells of them, both
         where the finest level is faithful."""
         feet, cells = self.levels[0].stepped(points, _REFINEMENTS)
         near = (feet - points).norm(dim=1) < _NEAR * self.levels[0].grid.spacing
