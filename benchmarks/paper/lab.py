@@ -158,13 +158,20 @@ def timed(step: Callable[[], object], count: int) -> float:
 
 def picture_of(name: str, panels: Sequence[Mesh | None], columns: int) -> None:
     """docs/results/<name>.png: the meshes, one row a shape and one column a variant."""
-    blank = np.full((_PANEL[1], _PANEL[0], 3), 255, dtype=np.uint8)
-    images = [
-        blank if mesh is None else picture.mesh_picture(mesh, _PANEL)[..., :3] for mesh in panels
-    ]
+    images = [_panel(mesh) for mesh in panels]
     rows = [np.hstack(images[i : i + columns]) for i in range(0, len(images), columns)]
     RESULTS.mkdir(parents=True, exist_ok=True)
     (RESULTS / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.vstack(rows))))
+
+
+def _panel(mesh: Mesh | None) -> NDArray[np.uint8]:
+    """A mesh on white; white alone where there is none."""
+    panel = np.full((*_PANEL[::-1], 4), 255, dtype=np.uint8)
+    if mesh is not None:
+        drawn = picture.mesh_picture(mesh, _PANEL).astype(np.float64)
+        cover = drawn[..., 3:] / 255
+        panel[..., :3] = np.rint(cover * drawn[..., :3] + (1 - cover) * 255)
+    return panel
 
 
 def _per_iteration(result: Reconstruction) -> float:
@@ -214,10 +221,20 @@ def _publish(
         f"{markdown(HEADER, [_cells(row) for row in rows])}\n"
         "\\* The paper's figures are for **other shapes**, which it does not name, at 60 000 "
         "iterations on a GPU: context, not a ranking.\n\n"
-        f"![the meshes, one column a variant, one row a shape]({name}.png)\n\n"
+        f"{_legend(rows)}\n\n![the meshes]({name}.png)\n\n"
         f"{provenance_line(origin)}\n"
     )
     save(name, {**origin, "rows": rows}, text)
+
+
+def _legend(rows: list[dict[str, Any]]) -> str:
+    """What the picture shows, read like its panels."""
+    names = list(dict.fromkeys(row["shape"] for row in rows))
+    variants = list(dict.fromkeys(row["variant"] for row in rows))
+    return (
+        f"The meshes, from left to right: {'; '.join(variants)}. From top to bottom: "
+        f"{', '.join(names)}. White where a run failed."
+    )
 
 
 def _options(title: str) -> argparse.Namespace:
