@@ -2,9 +2,11 @@
 
     python benchmarks/paper/neural_marks.py --save
     python benchmarks/paper/neural_marks.py --only sphere --iterations 2000
+    python benchmarks/paper/neural_marks.py --beside paper --save
 
 Half the sum of both mean exact distances, in 1e-3 of the extent: below 0.5 on a sphere, a torus and
-two sheets 0.03 apart, below 0.6 on smooth shapes, all from 30 000 points at 256³.
+two sheets 0.03 apart, below 0.6 on smooth shapes, all from 30 000 points at 256³. `--beside` gives
+another preset as many iterations as it makes in the time of those of the first.
 """
 
 from __future__ import annotations
@@ -18,10 +20,22 @@ from typing import Any
 import numpy as np
 import torch
 import trimesh
-from lab import DATA, load, markdown, picture_of, provenance, provenance_line, save, scan_of, shapes
+from lab import (
+    DATA,
+    load,
+    markdown,
+    picture_of,
+    provenance,
+    provenance_line,
+    save,
+    scan_of,
+    seconds_per_iteration,
+    shapes,
+    within,
+)
 
 from udflow.cloud.point_cloud import PointCloud
-from udflow.config import preset
+from udflow.config import Config, preset
 from udflow.mesh.mesh import Mesh
 from udflow.metrics import evaluate
 from udflow.reconstruct import reconstruct
@@ -44,35 +58,47 @@ def main() -> None:
     for name, truth, mark in _shapes(options.data):
         if options.only and name not in options.only:
             continue
-        row, mesh = measured(name, truth, mark, options)
-        print(" | ".join(_cells(row)), flush=True)
-        rows.append(row)
-        meshes.append(mesh)
+        for config in _configs(truth, options):
+            row, mesh = measured(name, truth, mark, config, options.samples)
+            print(" | ".join(_cells(row)), flush=True)
+            rows.append(row)
+            meshes.append(mesh)
     if options.save:
         name = f"paper_{options.preset}_marks"
         text = (
             f"# Marks of the preset {options.preset}\n\n30 000 points, 256³, exact distances in "
             f"1e-3 of the extent. Mark: half the sum, within {SECONDS:.0f} s on two free cores.\n\n"
             f"{markdown(HEADER, [_cells(row) for row in rows])}\n"
-            f"![the meshes, in this order]({name}.png)\n\n{provenance_line(origin)}\n"
+            f"![the meshes, from left to right, from top to bottom]({name}.png)\n\n"
+            f"{provenance_line(origin)}\n"
         )
         save(name, {**origin, "rows": rows}, text)
-        picture_of(name, meshes, len(meshes))
+        picture_of(name, meshes, 1 + len(options.beside))
+
+
+def _configs(truth: Mesh, options: argparse.Namespace) -> list[Config]:
+    """The preset with its iterations, and others with as many as take the same time."""
+    first = dataclasses.replace(preset(options.preset), seed=options.seed)
+    iterations = options.iterations or first.training.iterations
+    training = dataclasses.replace(first.training, iterations=iterations)
+    first = dataclasses.replace(first, training=training)
+    others = [dataclasses.replace(preset(name), seed=options.seed) for name in options.beside]
+    if not others:
+        return [first]
+    scan = scan_of(truth, 30_000, 0.0, options.seed)
+    seconds = iterations * seconds_per_iteration(first, scan)
+    return [first, *(within(other, scan, seconds) for other in others)]
 
 
 def measured(
-    name: str, truth: Mesh, mark: float, options: argparse.Namespace
+    name: str, truth: Mesh, mark: float, config: Config, samples: int
 ) -> tuple[dict[str, Any], Mesh]:
     """One row."""
-    config = dataclasses.replace(preset(options.preset), seed=options.seed)
-    if options.iterations is not None:
-        training = dataclasses.replace(config.training, iterations=options.iterations)
-        config = dataclasses.replace(config, training=training)
     start, process = time.monotonic(), time.process_time()
-    result = reconstruct(PointCloud(scan_of(truth, 30_000, 0.0, options.seed)), config)
+    result = reconstruct(PointCloud(scan_of(truth, 30_000, 0.0, config.seed)), config)
     wall, process = time.monotonic() - start, time.process_time() - process
-    found = evaluate(result.mesh, truth, samples=options.samples, seed=options.seed)
-    row = {"shape": name, "preset": options.preset, "mark": mark, "wall_s": wall,
+    found = evaluate(result.mesh, truth, samples=samples, seed=config.seed)
+    row = {"shape": name, "preset": config.preset, "mark": mark, "wall_s": wall,
            "process_s": process, "report": result.report}  # fmt: skip
     return row | found.to_dict(), result.mesh
 
@@ -112,6 +138,7 @@ def _error(row: dict[str, Any]) -> float:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--preset", default="neural")
+    parser.add_argument("--beside", nargs="+", default=[], metavar="PRESET")
     parser.add_argument("--iterations", type=int, help="in place of the preset's")
     parser.add_argument("--only", nargs="+", metavar="SHAPE")
     parser.add_argument("--data", type=Path, default=DATA)
