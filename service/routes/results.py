@@ -143,8 +143,8 @@ def get_preview(job_id: str, request: Request, services: Needs) -> Response:
 
 def _download(record: JobRecord, name: str, request: Request, services: Services) -> Response:
     artifact = record.outputs.get(name)
-    may_leave = artifact is not None and request.state.redirect
-    link = services.store.link_to(artifact) if may_leave else None
+    may_leave: bool = request.state.redirect
+    link = services.store.link_to(artifact) if artifact is not None and may_leave else None
     if artifact is not None and link is not None:
         return redirected(request, link, sha256=artifact.sha256, size=artifact.bytes)
     return _sent(result_file(record, name, services.store), name, request)

@@ -34,7 +34,7 @@ from worker.frames import points_frame
 
 WEB = ROOT / "web"
 BUDGET = 250_000  # bytes before data
-FRAMES = 500 if SOAK else 150
+FRAMES = 500 if SOAK else 100
 POINTS = 12_000
 
 pytestmark = pytest.mark.timeout(400)
@@ -121,10 +121,10 @@ def test_many_frames_are_drawn_in_the_same_memory(walk: Walk, shown_job: str) ->
 
 
 @pytest.fixture
-def shown_job(data_folder: Path, url: str) -> Iterator[str]:
+def shown_job(data_folder: Path, client: httpx.Client) -> Iterator[str]:
     """A running job of which this test is the worker: a frame whenever there was time for it."""
     settings = Settings(data=data_folder, redis_url=EmbeddedRedis(data_folder).url)
-    scan = httpx.post(f"{url}/v1/samples/vase").json()
+    scan = client.post("/v1/samples/vase").json()
     with settings.connect() as connection:
         records = JobRecords(connection)
         spec = JobSpec.new(scan["id"], to_dict(preset("fast")))
