@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
+import bench
 import chart
 import conditions
 import methods
@@ -167,6 +168,17 @@ def test_moving_least_squares_finds_a_torus(tmp_path: Path) -> None:
     mls.main(str(tmp_path / "scan.npy"), str(tmp_path / "mesh.ply"), "32")
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert MeshDistance(torus)(mesh.vertices).mean() < 1e-3
+
+
+def test_tables_and_chart_are_written(tmp_path: Path) -> None:
+    bench.publish("bench", [row("udflow", 0.2), row("poisson", 0.15)], tmp_path)
+    text = (tmp_path / "bench.md").read_text()
+    assert "### clean: 30 000 points, evenly by area" in text
+    assert "* closed/bunny_hr, clean: 0.200, poisson 0.150" in text
+    assert "bunny_hr" in (tmp_path / "bench.svg").read_text()
+    assert "| closed/bunny_hr | clean | poisson |" in (tmp_path / "bench_all.md").read_text()
+    with pytest.raises(SystemExit, match="no rows yet"):
+        bench.publish("bench", [], tmp_path)
 
 
 def test_figures_keep_five_digits() -> None:
