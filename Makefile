@@ -39,10 +39,12 @@ test: page
 bench: setup
 	$(BIN)/python benchmarks/bench.py --only-new --save
 
-# What `make test` does in short, for as long as it takes: every fault, 500 jobs, 2 000 submissions.
-soak: setup
+# What `make test` does in short, for as long as it takes: every fault, 500 jobs, 2 000 submissions,
+# many generated requests, 500 frames.
+soak: page
 	rm -f soak.txt
-	SOAK=$(CURDIR)/soak.txt $(BIN)/python -m pytest tests/chaos --timeout 7200
+	SOAK=$(CURDIR)/soak.txt $(BIN)/python -m pytest --timeout 7200 \
+		tests/chaos tests/end_to_end/test_schema.py tests/end_to_end/test_page.py
 	cat soak.txt
 
 # Ten minutes for every format that is read.

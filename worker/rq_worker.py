@@ -98,7 +98,7 @@ class FitWorker(Worker):
         connection = settings.connect_raw()
         self._secret = load_secret(settings)
         self._records = JobRecords(settings.connect(), settings.lease_s)
-        self._dispatcher = Dispatcher(settings.connect_raw(), self._secret, settings.job_timeout_s)
+        self._dispatcher = Dispatcher(connection, self._secret, settings.job_timeout_s)
         self._job_timeout_s = settings.job_timeout_s
         self._horse_exit: tuple[int, int] | None = None
         super().__init__(
