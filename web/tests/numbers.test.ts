@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
 import { ageTable, colorAt, css, gradient, table } from "../src/pure/colormap";
-import { duration, Eta, inWords } from "../src/pure/eta";
+import { duration, Eta, inWords, remaining } from "../src/pure/eta";
 import { ago, bytes, count, counted, length, placeWithin, roundStep } from "../src/pure/format";
 import { bin, quantile, summarise } from "../src/pure/histogram";
 import { hashOf, routeOf } from "../src/pure/route";
@@ -48,6 +48,11 @@ describe("time left", () => {
     expect(eta.at(2)).toEqual({ low: 10, high: 28 });
     for (let now = 3; now < 14; now++) eta.push(now, 20 - now);
     expect(eta.at(14)).toEqual({ low: 6, high: 6 });
+  });
+  test("of an estimate the rest is left, until it has turned out too short", () => {
+    expect(remaining({ low: 5, high: 20 }, 3)).toEqual({ low: 2, high: 17 });
+    expect(remaining({ low: 5, high: 20 }, 8)).toEqual({ low: 0, high: 12 });
+    expect(remaining({ low: 5, high: 20 }, 20)).toBeNull();
   });
   test("the end does not lie in the past", () => {
     const eta = new Eta();

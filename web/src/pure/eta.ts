@@ -27,6 +27,12 @@ export class Eta {
   }
 }
 
+/** What is left of an estimate of the whole; null once it has turned out too short. */
+export function remaining(whole: TimeLeft, elapsed: number): TimeLeft | null {
+  if (elapsed >= whole.high) return null;
+  return { low: Math.max(0, whole.low - elapsed), high: whole.high - elapsed };
+}
+
 /** In words: "about 12 s", "10 to 20 s", "a moment". */
 export function inWords(left: TimeLeft): string {
   const { low, high } = left;

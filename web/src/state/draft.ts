@@ -64,6 +64,9 @@ effect(() => {
   if (draft.value && !choice.value && preset) choose(preset);
 });
 
+/** The job that the scan on the picture has become; null when the picture is another one. */
+export const handedOver = signal<string | null>(null);
+
 /** About how much of the scan the box holds, 0 to 1. */
 export const keptShare = computed(() => {
   const [box, found] = [crop.value, preview.value];
@@ -174,6 +177,7 @@ export async function start(): Promise<void> {
     const sent = await cropped(current);
     const scan = sent.sample ? await makeSample(sent.sample) : await send(sent);
     const job = await createJob(scan.id, wanted.preset, changes.value, sent.name, once());
+    handedOver.value = crop.value ? null : job.id;
     spoken.value = `${sent.name} is uploaded; the job is queued.`;
     go({ page: "job", id: job.id, up: up.value });
   } catch (error) {

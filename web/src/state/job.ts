@@ -4,6 +4,7 @@ import { signal } from "@preact/signals";
 import {
   ask,
   ENDED,
+  estimate,
   getJob,
   getReport,
   getScan,
@@ -13,7 +14,7 @@ import {
   type ScanInfo,
 } from "../net/api";
 import { follow, type JobEvent } from "../net/events";
-import { Eta } from "../pure/eta";
+import { Eta, type TimeLeft } from "../pure/eta";
 import type { PlyMesh } from "../pure/formats/ply";
 import type { Frame } from "../pure/frame";
 import type { Summary } from "../pure/histogram";
@@ -49,6 +50,8 @@ export const frames = signal<{ points: Frame | null; mesh: Frame | null }>({
   points: null,
   mesh: null,
 });
+/** Seconds that the service expects of the whole job, before its own progress tells better. */
+export const expected = signal<TimeLeft | null>(null);
 export const losses = signal<LossPoint[]>([]);
 export const live = signal(true);
 export const failure = signal<string | null>(null);
@@ -87,7 +90,7 @@ export function leave(): void {
   stopFollowing = () => {};
   worker?.terminate();
   worker = null;
-  for (const cleared of [job, scan, report, result, compared, loading, failure]) {
+  for (const cleared of [job, scan, report, result, compared, loading, failure, expected]) {
     cleared.value = null;
   }
   frames.value = { points: null, mesh: null };
@@ -139,6 +142,7 @@ function read(mesh: ArrayBuffer, cloud: ArrayBuffer, measured: number): void {
 
 function update(found: Job): void {
   if (found.attempt !== attempt) restart(found.attempt);
+  if (job.value === null && !ENDED.includes(found.state)) void expect(found);
   if (!scan.value)
     void getScan(found.scan_id).then(
       (about) => {
@@ -148,6 +152,15 @@ function update(found: Job): void {
     ); // the scan may have been deleted; the job stands on its own
   job.value = found;
   heard(Date.now() / 1000, found as unknown as Partial<StageEvent>);
+}
+
+async function expect({ id, scan_id, config }: Job): Promise<void> {
+  try {
+    const { seconds } = await estimate(scan_id, config.preset, config);
+    if (job.value?.id === id) expected.value = { low: seconds.low, high: seconds.high };
+  } catch {
+    // then its progress alone tells
+  }
 }
 
 function take(event: JobEvent): void {

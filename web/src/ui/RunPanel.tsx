@@ -1,10 +1,10 @@
 import { useEffect, useState } from "preact/hooks";
 import type { Job } from "../net/api";
-import { duration, inWords } from "../pure/eta";
+import { duration, inWords, remaining } from "../pure/eta";
 import { count } from "../pure/format";
 import type { StageState } from "../pure/stages";
 import { dialog } from "../state/app";
-import { clock, eta, failure, frames, live, losses, scan, tick } from "../state/job";
+import { clock, eta, expected, failure, frames, live, losses, scan, tick } from "../state/job";
 import { LossChart } from "./LossChart";
 import { Bar, ShareButton, Trouble } from "./parts";
 
@@ -101,12 +101,18 @@ function Stages({ states }: { states: StageState[] }) {
 }
 
 function timeLeft(job: Job): string {
-  if (job.state === "queued") return "It starts as soon as a worker is free.";
+  const whole = expected.value;
+  if (job.state === "queued") {
+    const long = whole ? ` It takes ${inWords(whole)}.` : "";
+    return `It starts as soon as a worker is free.${long}`;
+  }
   if (job.state === "canceling") return "It stops after the step it is at.";
-  const left = eta.at(Date.now() / 1000);
-  return left
-    ? `${Math.round(100 * job.progress)} % · ${inWords(left)} left`
-    : "Estimating the time…";
+  const now = Date.now() / 1000;
+  const elapsed = now - Date.parse(job.started_at ?? "") / 1000;
+  const left = eta.at(now) ?? (whole && remaining(whole, elapsed));
+  const share = `${Math.round(100 * job.progress)} %`;
+  if (left) return `${share} · ${inWords(left)} left`;
+  return `${share} · ${whole ? "it takes longer than expected" : "estimating the time…"}`;
 }
 
 function askToCancel(): void {

@@ -7,7 +7,7 @@ import { length } from "../pure/format";
 import type { Frame } from "../pure/frame";
 import { heroFrame, heroPoints, heroRounds } from "../pure/hero";
 import { colorNow, isDark, prefersStill, route } from "../state/app";
-import { crop, draft, preview, reading } from "../state/draft";
+import { crop, draft, handedOver, preview, reading } from "../state/draft";
 import { compared, frames, job, result, scan } from "../state/job";
 import * as look from "../state/look";
 import type { Vector } from "../viewer/space";
@@ -66,6 +66,9 @@ function Notice() {
 
 /** Why there is nothing to see of a draft. */
 function absentNow(): string | null {
+  if (job.value?.state === "queued" && handedOver.value !== job.value.id) {
+    return "The picture begins when the job does.";
+  }
   if (!draft.value || reading.value) return null;
   if (!preview.value) return "There is no picture of this file.";
   return preview.value.note && `${preview.value.format.toUpperCase()} points are drawn once sent.`;
@@ -179,7 +182,8 @@ function showJob(made: Viewer): () => void {
       shownJob = id;
       seen = 0;
       bounded = false;
-      if (id) made.clear();
+      // what was just sent stays until the job shows more
+      if (id && handedOver.peek() !== id) made.clear();
     }),
     effect(() => {
       const about = scan.value;
@@ -240,7 +244,7 @@ function boundsOf(frame: Frame): [Vector, Vector] {
 
 function lookNow(): Look {
   const isResult = result.value !== null;
-  const isRunning = route.value.page === "job" && !isResult;
+  const isGrowing = route.value.page === "job" && !isResult && frames.value.points !== null;
   const isHero = route.value.page === "start" && !draft.value;
   const hasColors = (preview.value?.hasColors || scan.value?.has_colors) ?? false;
   const inColor = look.scanColors.value && hasColors;
@@ -252,7 +256,7 @@ function lookNow(): Look {
     wireframe: look.wireframe.value,
     flat: look.flat.value,
     meshColors: meshColorsNow(inColor && isResult && !heat),
-    pointColors: heat ? "distance" : isHero || isRunning ? "round" : inColor ? "scan" : "ink",
+    pointColors: heat ? "distance" : isHero || isGrowing ? "round" : inColor ? "scan" : "ink",
     slice: look.slicing.value && isResult,
     split: isResult ? look.split.value : null,
   };

@@ -41,5 +41,6 @@ function widened(_: uPlot, __: number, high: number): [number, number] {
 }
 
 function short(value: number | null): string {
+  if (value === 0) return "0";
   return value === null ? "" : value.toExponential(1).replace(".0e", "e");
 }

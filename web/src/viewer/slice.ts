@@ -1,6 +1,7 @@
 /** A plane through the field: distances as colours, with lines of equal distance. */
 
 import {
+  type Box3,
   BufferAttribute,
   BufferGeometry,
   DataTexture,
@@ -41,7 +42,7 @@ void main() {
   color.rgb = mix(color.rgb, line, 1.0 - smoothstep(0.5, 0.85, d / cell));
 }`;
 
-const CUT = 0.085; // of the scan's largest extent, on each side
+const MARGIN = 0.05; // that is shown around the scan, of its largest extent
 
 export class SliceLayer {
   readonly object: Mesh<BufferGeometry, ShaderMaterial>;
@@ -68,7 +69,7 @@ export class SliceLayer {
   }
 
   /** Shows a slice. The scale of the colours: what is farther than `top` looks the same. */
-  show(slice: Slice, space: Space): { top: number; step: number } {
+  show(slice: Slice, space: Space, box: Box3): { top: number; step: number } {
     this.slice = slice;
     const { uniforms } = this.object.material;
     (uniforms.distances.value as DataTexture | null)?.dispose();
@@ -79,7 +80,7 @@ export class SliceLayer {
     Object.assign(uniforms.step_size, { value: step });
     Object.assign(uniforms.cell, { value: slice.cell });
     this.object.geometry.dispose();
-    this.object.geometry = quad(slice, space);
+    this.object.geometry = quad(slice, space, box);
     return { top: largest, step };
   }
 
@@ -119,19 +120,24 @@ function textureOf(slice: Slice): DataTexture {
   return texture;
 }
 
-/** First and last cell that are shown: the service leaves more room around the scan. */
-function shownRange(cells: number, size: number): [number, number] {
-  const cut = Math.min(CUT / size, cells / 3);
-  return [cut, cells - 1 - cut];
+/** First and last of `cells` that are shown, along a way from cell to cell: the service leaves more
+ * room around the scan. */
+function shownRange(cells: number, corner: Vector3, way: Vector3, box: Box3): [number, number] {
+  const at = (reach: number) => (reach - corner.dot(way)) / way.lengthSq();
+  const ends = [box.min.dot(way), box.max.dot(way)];
+  const room = MARGIN * way.length();
+  const first = at(Math.min(...ends) - room);
+  const last = at(Math.max(...ends) + room);
+  return [Math.max(0, first), Math.min(cells - 1, last)];
 }
 
 /** The plane as far as it is shown. */
-function quad(slice: Slice, space: Space): BufferGeometry {
+function quad(slice: Slice, space: Space, box: Box3): BufferGeometry {
   const corner = new Vector3(...placed(space, slice.first));
   const right = new Vector3(...slice.right).divideScalar(space.extent);
   const down = new Vector3(...slice.down).divideScalar(space.extent);
-  const [left, rightmost] = shownRange(slice.columns, right.length());
-  const [top, bottom] = shownRange(slice.rows, down.length());
+  const [left, rightmost] = shownRange(slice.columns, corner, right, box);
+  const [top, bottom] = shownRange(slice.rows, corner, down, box);
   const cells = [
     [left, top],
     [rightmost, top],

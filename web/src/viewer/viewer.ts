@@ -181,7 +181,7 @@ export class Viewer {
   }
 
   showSlice(slice: Slice, axis: number, at: number): { top: number; step: number } {
-    const scale = this.slice.show(slice, this.space);
+    const scale = this.slice.show(slice, this.space, this.box);
     this.clipAxis = { axis, at: (at - this.space.centre[axis]) / this.space.extent };
     this.apply();
     return scale;
