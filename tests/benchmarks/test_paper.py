@@ -1,0 +1,111 @@
+"""The paper's experiments: variants are configurations, tables and pictures can be read."""
+
+from __future__ import annotations
+
+import runpy
+import struct
+import sys
+import zlib
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made import MADE
+from numpy.typing import NDArray
+
+PAPER = Path(__file__).resolve().parents[2] / "benchmarks" / "paper"
+sys.path.append(str(PAPER))
+
+import common  # noqa: E402
+import densification_shapes  # noqa: E402
+import lab  # noqa: E402
+
+EXPERIMENTS = sorted(
+    file.name for kind in ("table6_*", "fig*", "silent*") for file in PAPER.glob(f"{kind}.py")
+)
+OPTIONS = Namespace(
+    preset="neural", seed=0, full=False, budget=1.0, resolution=24, samples=500, device="cpu"
+)
+
+
+@pytest.fixture(params=EXPERIMENTS)
+def experiment(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What a script hands to the laboratory."""
+    found: dict[str, Any] = {}
+
+    def run(name: str, title: str, note: str, variants: list[lab.Variant]) -> None:
+        found.update(name=name, title=title, note=note, variants=variants)
+
+    monkeypatch.setattr(lab, "run", run)
+    runpy.run_path(str(PAPER / request.param), run_name="__main__")
+    return found | {"script": request.param}
+
+
+@pytest.mark.parametrize("preset", ["neural", "paper"])
+def test_every_variant_is_a_configuration(experiment: dict[str, Any], preset: str) -> None:
+    names = [variant.name for variant in experiment["variants"]]
+    assert len(set(names)) == len(names) >= 3
+    options = Namespace(**{**vars(OPTIONS), "preset": preset, "full": preset == "paper"})
+    for variant in experiment["variants"]:
+        config = lab.configured(variant, options)
+        assert config.seed == 0
+        assert 1_000 <= variant.points <= 30_000
+
+
+def test_every_script_is_named_in_the_readme_with_its_table(experiment: dict[str, Any]) -> None:
+    readme = (PAPER.parent / "README.md").read_text()
+    assert f"benchmarks/paper/{experiment['script']}" in readme
+    assert experiment["name"] == f"paper_{Path(experiment['script']).stem}"
+
+
+def pixels(file: Path) -> NDArray[np.uint8]:
+    """(height, width, 4) of a PNG of one part without filters."""
+    data = file.read_bytes()
+    width, height, depth, kind = struct.unpack(">IIBB", data[16:26])
+    assert (depth, kind) == (8, 6)
+    start = data.index(b"IDAT")
+    (length,) = struct.unpack(">I", data[start - 4 : start])
+    raw = np.frombuffer(zlib.decompress(data[start + 4 : start + 4 + length]), np.uint8)
+    rows = raw.reshape(height, 1 + 4 * width)
+    assert not rows[:, 0].any()
+    return rows[:, 1:].reshape(height, width, 4)
+
+
+def test_a_table_and_a_picture_come_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (common, lab):
+        monkeypatch.setattr(module, "RESULTS", tmp_path)
+    monkeypatch.setattr(common, "ROOT", tmp_path)
+    solved = {"field": "spline", "densify": {"target_points": 0}}
+    variant = lab.Variant("solved", solved, points=800)
+    row, mesh = lab.measured("made/torus", MADE["torus"](), variant, OPTIONS, runs=1)
+    origin = {**common.provenance(), "settings": {"budget": "none"}}
+    lab._publish("t", "Title", "Note.", [row], origin)
+    lab.picture_of("t", [mesh, None], 2)
+    text = (tmp_path / "t.md").read_text()
+    assert "| made/torus | solved | - |" in text
+    assert "from left to right: solved" in text
+    picture = pixels(tmp_path / "t.png")
+    left, right = np.hsplit(picture, 2)
+    assert left.min() < 200
+    assert right.min() == 255 == picture[..., 3].min()
+
+
+def test_a_budget_buys_iterations() -> None:
+    scan = common.scan_of(MADE["torus"](), 1_000, 0.0, 0)
+    config = lab.configured(lab.Variant("small", {"network": {"width": 16}}), OPTIONS)
+    few, more = (lab.within(config, scan, seconds).training for seconds in (0.001, 20.0))
+    assert few.iterations == 100
+    assert more.iterations > 200
+    assert more.warmup <= more.iterations // 10
+
+
+def test_densification_is_counted_by_what_changes() -> None:
+    rows = [
+        {"without": {"error": 1.0}, "with": {"error": error}} for error in (0.8, 1.2, 1.001, 0.999)
+    ]
+    rows.append({"without": {"failed": "no surface"}, "with": {"error": 1.0}})
+    assert densification_shapes._count(rows) == (
+        "Of 5 shapes 1 get better by more than 1%, 1 worse, 2 stay the same; 1 failed."
+    )
