@@ -83,7 +83,7 @@ def run(name: str, title: str, note: str, variants: Sequence[Variant]) -> None:
             row, mesh = measured(shape, variant.truth(truth), variant, options, runs)
             print(" | ".join(_cells(row)), flush=True)
             rows.append(row)
-            panels.append(mesh)
+            panels.append(mesh if mesh is None else upright(shape, mesh))
     if options.save:
         _publish(name, title, note, rows, origin)
         picture_of(name, panels, len(variants))
@@ -162,6 +162,14 @@ def picture_of(name: str, panels: Sequence[Mesh | None], columns: int) -> None:
     rows = [np.hstack(images[i : i + columns]) for i in range(0, len(images), columns)]
     RESULTS.mkdir(parents=True, exist_ok=True)
     (RESULTS / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.vstack(rows))))
+
+
+def upright(shape: str, mesh: Mesh) -> Mesh:
+    """The mesh as pictures take it, z up; the closed shapes have y up."""
+    if not shape.startswith("closed/"):
+        return mesh
+    x, y, z = mesh.vertices.T
+    return dataclasses.replace(mesh, vertices=np.column_stack([x, -z, y]))
 
 
 def _panel(mesh: Mesh | None) -> NDArray[np.uint8]:
