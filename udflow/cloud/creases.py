@@ -1,8 +1,9 @@
 """Feet near creases, where the quadrics around a query belong to different pieces of surface.
 
 Each piece ends where it meets the next: a foot on one quadric does not count if it lies beyond
-another one, on the side where its own piece has no samples. If no foot counts, the query is nearest
-to the crease itself, the intersection of two quadrics.
+another one, on the side where its own piece has no samples, or farther from all samples than
+neighbouring samples are from each other. If no foot counts, the query is nearest to the crease
+itself, the intersection of two quadrics.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ ROUNDS = 4
 LOCAL = 2.0  # spacings from its site up to which a quadric ends other pieces
 WAY = 1.5  # spacings: where two quadrics meet farther from the foot on one, it is no crease
 BEHIND = 0.7  # spacings
+ON_DATA = 1.2  # spacings from the nearest site within which a piece surely goes on
 NEAR = 4.0  # spacings from its site beyond which a query cannot tell pieces
 PARALLEL = 1e-3  # squared sine of the angle of planes below which they do not meet
 
@@ -62,6 +64,20 @@ class Candidates:
         total = weights.sum(dim=1, keepdim=True).clamp_min(1e-12)
         return (weights[..., None] * self.feet).sum(dim=1) / total
 
+    def on_data(self, feet: Tensor) -> Tensor:
+        """(n, k) whether each of (n, k, 3) feet lies near one of the sites."""
+        apart = (feet[:, :, None] - self.origins[:, None]).norm(dim=3)
+        return apart.amin(dim=2) < ON_DATA * self.spacing[:, None]
+
+    def nearest_on_data(self) -> Tensor:
+        """(n, 3) the nearest foot that lies near a site; the nearest site where none does."""
+        way = (self.feet - self.points[:, None]).norm(dim=2)
+        way = torch.where(self.on_data(self.feet), way, torch.inf)
+        shortest = way.argmin(dim=1)
+        row = torch.arange(len(shortest), device=shortest.device)
+        found = torch.isfinite(way[row, shortest])
+        return torch.where(found[:, None], self.feet[row, shortest], self.origins[:, 0])
+
     def creased(self) -> Tensor:
         """Indices of the queries whose quadrics belong to different pieces."""
         agreement = (self.normals * self.normals[:, :1]).sum(dim=2).abs()
@@ -76,14 +92,13 @@ def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
         quadrics: of all sites.
         candidates: of the queries.
     """
-    count = candidates.feet.shape[1]
     around = quadrics[candidates.quadrics.reshape(-1)]
     turned = _turned(around, candidates)
     beyond, height = _beyond(around, turned, candidates)
     distance = (candidates.feet - candidates.points[:, None]).norm(dim=2)
     # a foot far behind the nearest one is farther than the crease between them
     close = distance < distance.amin(dim=1, keepdim=True) + BEHIND * candidates.spacing[:, None]
-    valid = ~beyond.any(dim=1) & close
+    valid = ~beyond.any(dim=1) & close & candidates.on_data(candidates.feet)
     lead = torch.where(valid, distance, torch.inf).argmin(dim=1)
     row = torch.arange(len(lead), device=lead.device)
     foot = candidates.blended(candidates.feet[row, lead], valid & ~turned[row, lead])
@@ -91,14 +106,25 @@ def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
     none = (~valid.any(dim=1)).nonzero().squeeze(1)
     if len(none) == 0:
         return foot
-    crossed = torch.where(beyond[none, :, 0], height[none, :, 0].abs(), -1.0).argmax(dim=1)
-    one = quadrics[candidates.quadrics[none, 0]]
-    two = quadrics[candidates.quadrics.view(-1, count)[none, crossed]]
-    crease = _on_both(one, two, candidates.points[none], candidates.feet[none, 0])
-    lone = candidates[none].blended(candidates.feet[none, 0], torch.ones_like(valid[none]))
-    astray = (crease - lone).norm(dim=1) > WAY * candidates.spacing[none]
-    foot[none] = torch.where(astray[:, None], lone, crease)
+    foot[none] = _where_two_meet(quadrics, candidates[none], beyond[none], height[none])
     return foot
+
+
+def _where_two_meet(
+    quadrics: LocalQuadrics, candidates: Candidates, beyond: Tensor, height: Tensor
+) -> Tensor:
+    """Feet (n, 3) on both the nearest quadric and the one that ends it most, if they meet near
+    sites; else the nearest foot that lies near one."""
+    crossed = torch.where(beyond[:, :, 0], height[:, :, 0].abs(), -1.0).argmax(dim=1)
+    row = torch.arange(len(crossed), device=crossed.device)
+    one = quadrics[candidates.quadrics[:, 0]]
+    two = quadrics[candidates.quadrics[row, crossed]]
+    foot = _on_both(one, two, candidates.points, candidates.feet[:, 0])
+    lone = candidates.blended(candidates.feet[:, 0], torch.ones_like(candidates.farness))
+    astray = (foot - lone).norm(dim=1) > WAY * candidates.spacing
+    foot = torch.where(astray[:, None], lone, foot)
+    near = candidates.on_data(foot[:, None])
+    return torch.where(near, foot, candidates.nearest_on_data())
 
 
 def _turned(around: LocalQuadrics, candidates: Candidates) -> Tensor:

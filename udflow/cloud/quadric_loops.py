@@ -13,6 +13,7 @@ from udflow.cloud.creases import (
     LOCAL,
     NEAR,
     OFF,
+    ON_DATA,
     PARALLEL,
     ROUNDS,
     SAME_PIECE,
@@ -266,7 +267,8 @@ def _at_crease(
     valid = np.zeros(count, np.bool_)
     for j in range(count):
         length = _norm(_minus(_row(feet, j), point))
-        valid[j] = length < least + BEHIND * spacing and not beyond[:, j].any()
+        reached = length < least + BEHIND * spacing and not beyond[:, j].any()
+        valid[j] = reached and _on_data(_row(feet, j), near, origin, spacing)
         if valid[j] and length < shortest:
             lead, shortest = j, length
     if lead < 0:
@@ -284,7 +286,7 @@ def _where_two_meet(
     near: Array, point: Vector, feet: Array, share: Array, spacing: float, origin: Array,
     frame: Array, coefficients: Array, radius: Array, of_foot: Array, beyond: Array,
 ) -> Vector:  # fmt: skip
-    """The place nearest to a query on both the nearest quadric and the one that ends it most."""
+    """As `creases._where_two_meet`."""
     crossed, highest = 0, -1.0
     for k in range(len(near)):
         if beyond[k, 0] and abs(of_foot[k, 0]) > highest:
@@ -298,8 +300,34 @@ def _where_two_meet(
         b = _normal(two, _local(two, on_two, origin, frame, radius), frame, coefficients)
         foot = _on_planes(point, on_one, a, on_two, b)
     lone = _blended(feet, _row(feet, 0), share, spacing)
-    astray = _norm(_minus(foot, lone)) > WAY * spacing
-    return lone if astray else foot
+    if _norm(_minus(foot, lone)) > WAY * spacing:
+        foot = lone
+    if _on_data(foot, near, origin, spacing):
+        return foot
+    return _nearest_on_data(near, point, feet, spacing, origin)
+
+
+@compiled
+def _on_data(foot: Vector, near: Array, origin: Array, spacing: float) -> bool:
+    """As `Candidates.on_data`."""
+    for j in range(len(near)):
+        if _norm(_minus(foot, _row(origin, near[j]))) < ON_DATA * spacing:
+            return True
+    return False
+
+
+@compiled
+def _nearest_on_data(
+    near: Array, point: Vector, feet: Array, spacing: float, origin: Array
+) -> Vector:
+    """As `Candidates.nearest_on_data`."""
+    best, least = _row(origin, near[0]), np.inf
+    for j in range(len(near)):
+        foot = _row(feet, j)
+        way = _norm(_minus(foot, point))
+        if way < least and _on_data(foot, near, origin, spacing):
+            best, least = foot, way
+    return best
 
 
 @compiled
