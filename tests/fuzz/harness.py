@@ -32,7 +32,7 @@ from udflow.errors import InvalidCloud
 LONGEST_S = 10
 ALLOWED = 64 << 20
 PER_BYTE = 4
-ROUND = 300  # examples between two new beginnings
+ROUND = 100  # examples between two new beginnings; the last round is finished unread
 WORDS = [b"9" * 30, b"-1", b"-", b"\n", b" ", b"nan", b"1e999", b"1e-320", b"{", b"[", b"", b"\0"]
 WORDS += [b"element vertex 99999999\n", b"property list uchar int i\n", b"POINTS 4294967295\n"]
 WORDS += [b"WIDTH 99999999\n", b"COUNT 99999999\n", b"binary_compressed", b"big_endian", b"double"]
