@@ -242,10 +242,14 @@ def test_precision_is_as_it_was_afterwards() -> None:
     assert torch.get_float32_matmul_precision() == before
 
 
-def test_one_step_only_launches_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sided", [False, True])
+def test_one_step_only_launches_kernels(sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a CUDA graph records must not ask the device for a number. There need not be a GPU
     here: every way from a tensor to a number of the host is closed for one step."""
     subject = trainer()
+    ends = subject._trajectories
+    side = torch.ones(len(ends)) if sided else None
+    subject._trajectories = replace(ends, side=side)
 
     def refused(self: Tensor, *_: object) -> float:
         raise AssertionError("a number was asked of the device inside a step")
