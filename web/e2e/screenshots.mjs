@@ -6,8 +6,8 @@ import { choose, drop, open, settings } from "./browser.mjs";
 
 const PATIENCE = { timeout: 200_000 };
 const LOOKS = {
-  light: { colorScheme: "light" },
-  dark: { colorScheme: "dark" },
+  light: { colorScheme: "light", viewport: { width: 1240, height: 780 } },
+  dark: { colorScheme: "dark", viewport: { width: 1240, height: 780 } },
   phone: {
     colorScheme: "light",
     viewport: { width: 390, height: 844 },
@@ -26,8 +26,12 @@ const pages = Object.entries(shown).map(([look, { page }]) => [look, page]);
 async function take(name, prepare) {
   for (const [look, page] of pages) {
     await prepare(page, look);
-    await page.screenshot({ path: join(settings.out, `${look}-${name}.png`) });
+    await shoot(page, `${look}-${name}`);
   }
+}
+
+function shoot(page, name) {
+  return page.screenshot({ path: join(settings.out, `${name}.png`), ...PATIENCE });
 }
 
 await take("empty", (page) => page.waitForTimeout(6000));
@@ -41,7 +45,12 @@ await first.getByRole("button", { name: "udflow" }).click();
 await first.getByRole("button", { name: /Vase/ }).click();
 await first.getByText("nothing is sent yet").waitFor();
 await first.waitForTimeout(3000);
-await first.screenshot({ path: join(settings.out, "light-preview.png") });
+await shoot(first, "light-preview");
+await first.getByText("Crop").click();
+await first.getByLabel("Largest x").fill("0.6");
+await first.waitForTimeout(1500);
+await shoot(first, "light-crop");
+await first.getByRole("button", { name: "Send all of it" }).click();
 await choose(first, RUN);
 await first.getByRole("button", { name: "Reconstruct" }).click();
 await first.getByText(/densified in round 1 of/).waitFor(PATIENCE);

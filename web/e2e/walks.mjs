@@ -116,6 +116,11 @@ const walks = {
     await stop(page, "Stop and discard");
     await page.getByText("The job was stopped").waitFor(PATIENCE);
     await checkAccess(page, "a stopped job");
+    const stopped = page.url();
+    await page.getByRole("button", { name: "Try again" }).click();
+    await page.waitForURL((url) => url.href !== stopped, PATIENCE);
+    await stop(page, "Stop and discard");
+    await page.getByText("The job was stopped").waitFor(PATIENCE);
     assert.deepEqual(mistakes, []);
     await browser.close();
     return { round: before };

@@ -87,7 +87,8 @@ function factsOf(): [string, string][] {
   const rows: [string, string][] = [["Vertices", count(report.mesh.vertices)]];
   if (report.points) {
     const { densified, rounds } = report.points;
-    rows.push(["Densified to", `${count(densified)} in ${counted(rounds, "round")}`]);
+    const grown = `${count(densified)} in ${counted(rounds, "round")}`;
+    rows.push(["Densified to", rounds > 0 ? grown : "as dense as the scan is"]);
     rows.push(["Samples apart", length(report.spacing)]);
     rows.push(["Sample noise", length(report.sample_error)]);
   }

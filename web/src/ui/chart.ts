@@ -14,7 +14,7 @@ export function lossChart(host: HTMLElement, data: uPlot.AlignedData): uPlot {
     {
       width: host.clientWidth,
       height: HEIGHT,
-      padding: [8, 6, 0, 0],
+      padding: [8, 16, 0, 0],
       legend: { show: false },
       cursor: { drag: { x: false, y: false }, points: { size: 6 } },
       scales: { x: { time: false }, y: isWide(data) ? { distr: 3 } : { range: widened } },

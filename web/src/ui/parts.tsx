@@ -66,7 +66,7 @@ export function Warnings({ words }: { words: readonly string[] }) {
   return (
     <ul class="warnings">
       {words.map((each) => (
-        <li key={each}>{each}</li>
+        <li key={each}>{sentence(each)}</li>
       ))}
     </ul>
   );

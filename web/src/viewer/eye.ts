@@ -3,7 +3,8 @@
 import { PerspectiveCamera, Quaternion, Spherical, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
-const FRAMED = 0.8; // of the smaller side that the data fills
+const FRAMED = 0.84; // of the width that the data fills at most
+const EDGE = 58; // pixels above and below it: tools and measures lie there
 const HOME = new Vector3(-0.52, -1, 0.46).normalize(); // with z up
 const Z = new Vector3(0, 0, 1);
 const Y = new Vector3(0, 1, 0);
@@ -47,8 +48,9 @@ export class Eye {
     const towards = HOME.clone().applyQuaternion(turned(Z, this.up));
     const right = this.up.clone().cross(towards).normalize();
     const over = towards.clone().cross(right);
-    const tall = Math.tan((this.camera.fov * Math.PI) / 360) * FRAMED;
-    const wide = tall * this.camera.aspect;
+    const half = Math.tan((this.camera.fov * Math.PI) / 360);
+    const tall = half * Math.max(0.5, 1 - (2 * EDGE) / (this.canvas.clientHeight || 1));
+    const wide = half * this.camera.aspect * FRAMED;
     const most = [right, over].flatMap((way, i) => {
       const slope = way.clone().divideScalar(i === 0 ? wide : tall);
       return [towards.clone().add(slope), towards.clone().sub(slope)];

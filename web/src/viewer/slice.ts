@@ -84,6 +84,12 @@ export class SliceLayer {
     return { top: largest, step };
   }
 
+  /** Corners of what is shown, n x 3, in the scene; null where nothing is. */
+  get corners(): Float32Array | null {
+    const { position } = this.object.geometry.attributes;
+    return this.object.visible && position ? (position.array as Float32Array) : null;
+  }
+
   /** The distance where a ray meets the plane, and the place; null beside it. */
   valueAt(ray: Ray, space: Space): { value: number; at: Vector } | null {
     if (!this.slice || !this.object.visible) return null;

@@ -184,6 +184,7 @@ export class Viewer {
     const scale = this.slice.show(slice, this.space, this.box);
     this.clipAxis = { axis, at: (at - this.space.centre[axis]) / this.space.extent };
     this.apply();
+    if (!this.eye.hasMoved) this.frame();
     return scale;
   }
 
@@ -194,8 +195,10 @@ export class Viewer {
   }
 
   setLook(look: Look): void {
+    const isOther = look.slice !== this.look.slice;
     this.look = look;
     this.apply();
+    if (isOther && !this.eye.hasMoved) this.frame();
   }
 
   setMap(name: MapName): void {
@@ -220,7 +223,8 @@ export class Viewer {
 
   /** Stands where all of the data is seen. */
   frame(): void {
-    this.eye.frame(this.sample ?? cornersOf(this.box));
+    const seen = this.sample ?? cornersOf(this.box);
+    this.eye.frame(Float32Array.from([...seen, ...(this.slice.corners ?? [])]));
     this.invalidate();
   }
 
