@@ -138,6 +138,9 @@ const walks = {
       .getByText(/format|point/)
       .waitFor(PATIENCE);
     await checkAccess(page, "a refused scan");
+    await drop(page, "ball.npy", npyFile(2000));
+    await page.getByText(/^NPY, 24.kB$/).waitFor(PATIENCE);
+    await page.getByText("2\u2009000", { exact: true }).waitFor();
     await drop(page, "street.laz", lazHeader(12_345));
     await page.getByText("LAZ points are drawn once sent.").waitFor(PATIENCE);
     await page.getByText("12\u2009345").waitFor();
@@ -226,6 +229,14 @@ async function loseGraphics(page) {
   await page.getByText("The graphics card was lost").waitFor({ state: "detached" });
   const before = await page.evaluate(() => window.times.length);
   await page.waitForFunction((seen) => window.times.length > seen + 1, before, PATIENCE);
+}
+
+/** Points as NumPy saves them. */
+function npyFile(count) {
+  const text = `{'descr': '<f4', 'fortran_order': False, 'shape': (${count}, 3), }`.padEnd(117);
+  const head = Buffer.from([0x93, ...Buffer.from("NUMPY"), 1, 0, 118, 0]);
+  const values = Float32Array.from({ length: 3 * count }, (_, i) => Math.sin(i * i));
+  return Buffer.concat([head, Buffer.from(`${text}\n`), Buffer.from(values.buffer)]);
 }
 
 /** The first bytes of a compressed file: all that the page reads of it. */

@@ -177,8 +177,10 @@ export const getTicket = () =>
   json<{ ticket: string }>("v1/tickets", post()).then((answer) => answer.ticket);
 export const getScan = (id: string) => json<ScanInfo>(`v1/scans/${id}`);
 export const getJob = (id: string) => json<Job>(`v1/jobs/${id}`);
-export const listJobs = (limit: number) =>
-  json<{ jobs: Job[]; next_cursor: string | null }>(`v1/jobs?limit=${limit}`);
+/** The newest jobs; cursor: those after a page of them. */
+export function listJobs(cursor?: string): Promise<{ jobs: Job[]; next_cursor: string | null }> {
+  return json(`v1/jobs?limit=24${cursor ? `&cursor=${encodeURIComponent(cursor)}` : ""}`);
+}
 export const getReport = (id: string) => json<Report>(`v1/jobs/${id}/report?${HERE}`);
 export const cancelJob = (id: string, keepPartial: boolean) =>
   json<Job>(`v1/jobs/${id}/cancel`, post({ keep_partial: keepPartial }));

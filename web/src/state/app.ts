@@ -57,7 +57,7 @@ export async function loadStart(): Promise<void> {
     [info.value, samples.value, jobs.value] = await Promise.all([
       getInfo(),
       getSamples(),
-      listJobs(24).then((page) => page.jobs),
+      listJobs().then((page) => page.jobs),
     ]);
     trouble.value = null;
   } catch (error) {

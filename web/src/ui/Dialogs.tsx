@@ -1,6 +1,6 @@
 import { signal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { cancelJob, listJobs, setKey } from "../net/api";
 import { dialog, info, jobs, loadStart, route } from "../state/app";
 import { failure, job, leave, watch } from "../state/job";
@@ -87,14 +87,16 @@ function Help() {
 }
 
 function Jobs() {
-  useEffect(() => {
-    listJobs(24).then(
+  const [next, setNext] = useState<string | null>(null);
+  const load = (cursor?: string) =>
+    listJobs(cursor).then(
       (page) => {
-        jobs.value = page.jobs;
+        jobs.value = cursor ? [...jobs.value, ...page.jobs] : page.jobs;
+        setNext(page.next_cursor);
       },
       () => {}, // the list of before is shown
     );
-  }, []);
+  useEffect(() => void load(), []);
   return (
     <Modal title="Jobs">
       {jobs.value.length === 0 && <p class="quiet">There is none yet.</p>}
@@ -104,6 +106,11 @@ function Jobs() {
         ))}
       </ul>
       <div class="actions">
+        {next && (
+          <button type="button" onClick={() => void load(next)}>
+            Older jobs
+          </button>
+        )}
         <button type="button" class="main" onClick={close}>
           Close
         </button>

@@ -68,7 +68,8 @@ async function fromHeader({ read, head, start }: Source): Promise<Scan | null> {
 async function feed(source: Source, sink: Sink): Promise<string> {
   const { read, size, head, start } = source;
   if (start.startsWith("ply")) return readPly(source, sink);
-  if (start.startsWith("\x93NUMPY")) return readNpy(source, sink);
+  // the first byte is 0x93, which browsers and programs decode differently
+  if (start.startsWith("NUMPY", 1)) return readNpy(source, sink);
   if (start.startsWith("LASF")) {
     const layout = lasLayout(head);
     sink.hasColors = layout.color !== undefined;
