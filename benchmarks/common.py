@@ -7,8 +7,6 @@ import os
 import platform
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,6 +24,7 @@ from udflow.metrics.surface import bounds, sample
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT.parent / "shared" / "data"
 RESULTS = ROOT / "docs" / "results"
+LAUNCHER = Path(__file__).with_name("launch.py")
 FOLDERS = ("closed", "cad", "open", "layered")
 
 
@@ -78,22 +77,11 @@ def scan_of(mesh: Mesh, points: int, noise: float, seed: int) -> NDArray[np.floa
     return found + generator.normal(0.0, noise * bounds(mesh)[1], found.shape)
 
 
-def cold(command: Sequence[str], limit_s: float | None = None) -> Finished:
+def cold(command: Sequence[str], limit_s: float = 86_400.0) -> Finished:
     """Run a command in a fresh process and measure it from outside; past the limit it is ended."""
-    start = time.monotonic()
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT
-    )
-    overdue = threading.Timer(limit_s or threading.TIMEOUT_MAX, process.kill)
-    overdue.start()
-    errors = process.stderr.read() if process.stderr else ""
-    _, status, usage = os.wait4(process.pid, 0)
-    overdue.cancel()
-    seconds = time.monotonic() - start
-    process.returncode = os.waitstatus_to_exitcode(status)
-    kilobytes = usage.ru_maxrss / (1024 if sys.platform == "darwin" else 1)
-    spent = usage.ru_utime + usage.ru_stime
-    return Finished(process.returncode, seconds, spent, kilobytes / 1024, errors)
+    launcher = [sys.executable, "-S", str(LAUNCHER), str(limit_s), *command]
+    done = subprocess.run(launcher, capture_output=True, text=True, check=False, cwd=ROOT)
+    return Finished(errors=done.stderr, **json.loads(done.stdout))
 
 
 def provenance(**settings: Any) -> dict[str, Any]:

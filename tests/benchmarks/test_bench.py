@@ -11,6 +11,7 @@ from typing import Any
 
 import bench
 import chart
+import common
 import conditions
 import methods
 import mls
@@ -168,6 +169,19 @@ def test_moving_least_squares_finds_a_torus(tmp_path: Path) -> None:
     mls.main(str(tmp_path / "scan.npy"), str(tmp_path / "mesh.ply"), "32")
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert MeshDistance(torus)(mesh.vertices).mean() < 1e-3
+
+
+def test_a_process_is_measured_from_outside_and_alone() -> None:
+    mine = np.ones(30_000_000)  # 240 MB that are not the command's
+    done = common.cold([sys.executable, "-c", "import sys; print(1); sys.exit('too few points')"])
+    assert (done.code, done.errors) == (1, "too few points\n")
+    assert done.processor_s > 0.0
+    assert done.seconds > 0.0
+    assert 1.0 < done.peak_mb < mine.nbytes / 2**20 / 2
+
+
+def test_what_takes_too_long_is_ended() -> None:
+    assert common.cold([sys.executable, "-c", "import time; time.sleep(60)"], 0.3).code == -9
 
 
 def test_tables_and_chart_are_written(tmp_path: Path) -> None:
