@@ -40,7 +40,7 @@ LEGEND = (
 def cells(row: Row) -> list[str]:
     """One line of the table of everything."""
     start = [row["shape"], row["condition"], row["method"], f"{row['seconds']:.1f}"]
-    start += [f"{row['processor_s']:.1f}", f"{row['peak_mb']}"]
+    start += [f"{row['processor_s']:.1f}", "-" if row["peak_mb"] is None else f"{row['peak_mb']}"]
     if "failed" in row:
         blank = len(HEADER) - len(start) - 2
         return [*start, f"failed: {row['failed']}", *["-"] * blank, row.get("origin", "")]
@@ -134,7 +134,7 @@ def _summed(condition: str, method: str, groups: list[Group]) -> list[str]:
         _middle(below, 2),
         str(sum(map(topology_right, rows))),
         _middle(times, 2),
-        _middle([float(row["peak_mb"]) for row in rows], 0),
+        _middle([float(row["peak_mb"]) for row in rows if row["peak_mb"] is not None], 0),
     ]
 
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import sys
+import tomllib
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import gate
 import numpy as np
@@ -62,3 +67,31 @@ def test_limits_are_kept_by_what_they_were_made_from() -> None:
     allowed = gate.limits(row)
     assert gate.losses(row, allowed) == []
     assert gate.losses(row | {"error": 1.3 * row["error"]}, allowed) != []
+
+
+def test_what_is_written_is_read_again() -> None:
+    kinds = {"bench": {"cad/wingnut noise-0.3": {"error": 0.125, "loops": 3.0}}}
+    assert tomllib.loads(gate.as_toml(kinds)) == kinds
+
+
+def test_rows_of_the_bench_are_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = MADE["torus"]()
+    row = figures(truth, truth, SETTINGS) | {"method": "udflow", "shape": "a", "condition": "clean"}
+    file = tmp_path / "bench.json"
+    monkeypatch.setattr(gate, "GATES", tmp_path / "gates.toml")
+    gate.GATES.write_text("")
+    assert run(file, row, "--write") == 0
+    assert run(file, row) == 0
+    assert run(file, row | {"error": 1.0}) == 1
+
+
+def run(file: Path, row: dict[str, Any], *options: str) -> int:
+    """The gate's exit status for one row of a bench."""
+    file.write_text(json.dumps({"rows": [row]}))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sys, "argv", ["gate.py", "--results", str(file), *options])
+        try:
+            gate.main()
+        except SystemExit as end:
+            return int(end.code or 0)
+    return 0
