@@ -1,29 +1,29 @@
 """`python -m udflow.compile_loops`: compiles all loops now, so that no job has to wait for it.
 
-Takes about a quarter of a minute, once per machine and version; afterwards the code is read from
+Takes about half a minute, once per machine and version; afterwards the code is read from
 disk in less than a second.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 
-from udflow.cloud.quadric_loops import project_rows
+from udflow.cloud.sampled_surface import SampledSurface
 from udflow.fields.lattice_loops import find_rows
 from udflow.fields.spline_loops import normal_steps
 from udflow.fit.linear_loops import products
-from udflow.mesh import parity_loops
+from udflow.mesh import neck_loops, parity_loops
+from udflow.mesh.filling import least_filling
 from udflow.picture_loops import draw_discs, draw_triangles
 
 
 def load_loops() -> None:
-    """Compiles every loop, or reads its code from disk, by running it over no rows."""
+    """Compiles every loop, or reads its code from disk, by running it over next to nothing."""
+    few = torch.rand(20, 3, generator=torch.Generator().manual_seed(0))
+    SampledSurface.of(few).project(few)
     single, whole = np.float32, np.int64
     vectors, numbers = np.zeros((0, 3), single), np.zeros(0, single)
-    near, closeness = np.zeros((0, 6), whole), np.zeros((0, 6), single)
-    frames, coefficients = np.zeros((0, 3, 3), single), np.zeros((0, 6), single)
-    quadrics = vectors, frames, coefficients, numbers, numbers
-    project_rows(0, 0, vectors, near, closeness, *quadrics, 1.0, vectors)
     cells = np.zeros((0, 0, 0), np.int32), np.zeros((0, 512), np.int32), np.zeros((0, 27), single)
     grid = np.zeros(3, single), 1.0, np.zeros(3, whole), *cells
     normal_steps(0, 0, vectors, *grid, 1, vectors, np.zeros((0, 2), whole))
@@ -35,6 +35,11 @@ def load_loops() -> None:
     parity_loops.believe(0, 0, edges, faces, links, edges)
     parity_loops.count_odd(0, 0, edges, links, np.zeros(0, np.uint8))
     parity_loops.tell(0, 0, edges, links, 1.0, 0.0, faces)
+    some, ways, lengths = np.zeros(0, whole), np.zeros((0, 1), whole), np.zeros(0)
+    surface = lengths, np.zeros((0, 3)), links, some, some, links
+    neck_loops.search(0, 0, some, *surface, some, ways, some)
+    neck_loops.flare(0, 0, ways, some, *surface, 0, np.zeros((0, 2)), np.zeros(0, np.bool_))
+    least_filling(np.zeros((3, 3)))
     places, depth, canvas = np.zeros((0, 3)), np.zeros((0, 0)), np.zeros((0, 0, 3))
     draw_triangles(links, places, places, depth, canvas)
     draw_discs(places, places, 1.0, depth, canvas)

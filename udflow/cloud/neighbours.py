@@ -1,4 +1,4 @@
-"""Nearest neighbours among the samples, by a KD-tree on the CPU whatever the device."""
+"""Nearest neighbours among the samples, on the CPU whatever the device: see `tree_loops`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import Tensor
 
-_WORKERS = 2  # threads of a look-up; more than two cores bring little at these sizes
+from udflow.cloud.tree_loops import build_tree, levels_of, nearest_rows
+from udflow.compiled import over_rows
 
 
 @dataclass(frozen=True)
@@ -27,20 +27,33 @@ class Neighbours:
 
 
 class NeighbourTree:
-    """A KD-tree over (m, 3) samples."""
+    """A KD-tree over (m, 3) finite samples, in single precision."""
 
     def __init__(self, samples: Tensor | NDArray[np.floating]) -> None:
-        array = samples.cpu().numpy() if isinstance(samples, Tensor) else samples
-        self._tree = cKDTree(array, compact_nodes=False, balanced_tree=False)
+        array = samples.detach().cpu().numpy() if isinstance(samples, Tensor) else samples
         self.size = len(array)
+        points = np.array(_finite(array).T, np.float32, order="C")
+        order, levels = np.arange(self.size, dtype=np.int32), levels_of(self.size)
+        boxes = np.empty((2 ** (levels + 1) - 1, 6), np.float32)
+        if self.size > 0:
+            build_tree(points, order, levels, boxes)
+        self._tree = points, order, levels, boxes
 
     def nearest(self, queries: Tensor, k: int) -> Neighbours:
-        """The k nearest samples of (n, 3) queries, fewer where there are fewer samples."""
+        """The k nearest samples of (n, 3) finite queries, fewer where there are fewer samples."""
         k = min(k, self.size)
-        distance, index = self._tree.query(
-            queries.detach().cpu().numpy(), k=list(range(1, k + 1)), workers=_WORKERS
-        )
+        places = np.ascontiguousarray(_finite(queries.detach().cpu().numpy()), np.float32)
+        distance = np.empty((len(places), k), np.float32)
+        index = np.empty((len(places), k), np.int64)
+        if k > 0:
+            over_rows(nearest_rows, len(places), places, *self._tree, distance, index)
         return Neighbours(
-            torch.from_numpy(distance.astype(np.float32)).to(queries.device),
-            torch.from_numpy(index.astype(np.int64)).to(queries.device),
+            torch.from_numpy(distance).to(queries.device),
+            torch.from_numpy(index).to(queries.device),
         )
+
+
+def _finite(places: NDArray[np.floating]) -> NDArray[np.floating]:
+    if not np.isfinite(places).all():
+        raise ValueError("A place to look for neighbours at is not a finite number.")
+    return places

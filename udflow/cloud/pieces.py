@@ -14,65 +14,98 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from udflow.cloud.neighbours import Neighbours, NeighbourTree
-from udflow.cloud.quadrics import LocalQuadrics, fit_chosen, fit_width, heights_over, put
+from udflow.cloud.fits import fit_chosen
+from udflow.cloud.neighbours import Neighbours
+from udflow.cloud.piece_loops import piece_rows
+from udflow.cloud.quadrics import LocalQuadrics, copied, heights_over, put
+from udflow.cloud.sites import NEAR, Sites
+from udflow.compiled import over_rows
 
 _ROUNDS = 3
-_POOL = 40  # nearest samples among which those of one piece are sought
+_POOL = NEAR  # nearest samples among which those of one piece are sought
 _HYPOTHESES = 16  # sites around whose quadrics are tried
 _CLOSE = 17  # nearest samples, the site with them, by which a quadric is judged
 _WHOLE = 0.75  # share of them on the quadric that lets it pass
 _FEWEST = 8  # samples of a piece that a quadric is fitted to
 _GAIN = 1.5  # times better a piece must be explained than by the quadric there was
-_NARROW = 10  # neighbours of the fits by which the noise is judged
 _NOISE_SITES = 48
 _QUARTILE = 3.14  # standard deviations of noise in the lower quartile of its absolute values
 _SLACK = 4.0  # standard deviations of noise within which a sample is on a quadric
 _FINE = 0.03  # spacings within which it always is
 
 
-def on_one_piece(quadrics: LocalQuadrics, samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
+def on_one_piece(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
     """Quadrics (n) with those fitted again that run through more than one piece of surface.
 
     Args:
-        quadrics: fitted to all the nearest samples.
-        samples: (m, 3) the data.
-        tree: the tree of the samples.
+        quadrics: fitted to all the nearest samples, one at each site.
+        sites: the same.
     """
-    sites = NeighbourTree(quadrics.origin)
-    tolerance = _tolerance(quadrics, sites, samples, tree)
+    tolerance = _tolerance(quadrics, sites)
+    doubtful = torch.arange(len(tolerance), device=tolerance.device)
+    by = by_loop if tolerance.device.type == "cpu" else by_tensors
     for _ in range(_ROUNDS):
-        doubtful = _doubtful(quadrics, samples, tree, tolerance)
+        quadrics, doubtful = by(quadrics, sites, tolerance, doubtful)
         if len(doubtful) == 0:
             break
-        around = _Around.of(quadrics, doubtful, tolerance, samples, tree)
-        index = sites.nearest(quadrics.origin[doubtful], _HYPOTHESES).index
-        quadrics = _refitted(quadrics, around, index)
     return quadrics
 
 
-def _tolerance(
-    quadrics: LocalQuadrics, sites: NeighbourTree, samples: Tensor, tree: NeighbourTree
-) -> Tensor:
+def _tolerance(quadrics: LocalQuadrics, sites: Sites) -> Tensor:
     """(n,) distance from a quadric up to which a sample is explained by it.
 
     The lower quartile of held-back errors does not see the creases, which are few.
     """
-    error = fit_width(samples, tree, quadrics.origin, _NARROW).quadrics.error
-    near = sites.nearest(quadrics.origin, _NOISE_SITES).index
-    noise = _QUARTILE * error[near].quantile(0.25, dim=1)
+    error = sites.narrow.quadrics.error
+    noise = _QUARTILE * sites.quantile(error, 0.25, _NOISE_SITES)
     return torch.maximum(_SLACK * noise, _FINE * quadrics.spacing)
 
 
-def _doubtful(
-    quadrics: LocalQuadrics, samples: Tensor, tree: NeighbourTree, tolerance: Tensor
-) -> Tensor:
-    """Indices of the quadrics that miss their own sample or too many of the nearest."""
-    near = tree.nearest(quadrics.origin, _CLOSE)
-    off = heights_over(quadrics, samples[near.index]).abs()
+def by_loop(
+    quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor
+) -> tuple[LocalQuadrics, Tensor]:
+    """One round on the CPU.
+
+    Args:
+        quadrics: (n) as they are.
+        sites: theirs.
+        tolerance: (n,) distance from a quadric up to which a sample is explained by it.
+        rows: which of the quadrics may be in doubt.
+
+    Returns:
+        The quadrics with some fitted again, and which of the rows were in doubt.
+    """
+    near, around = sites.near, sites.around(_HYPOTHESES).index
+    width = near.index.shape[1]
+    limits = (min(_CLOSE, width), min(_POOL, width), min(_HYPOTHESES, around.shape[1]),
+              _WHOLE, _GAIN, _FEWEST)  # fmt: skip
+    result, doubtful = copied(quadrics), torch.empty(len(rows), dtype=torch.bool)
+    known = (rows, sites.samples.contiguous(), quadrics.origin, quadrics.frame,
+             quadrics.coefficients, quadrics.radius, tolerance, near.distance, near.index,
+             around)  # fmt: skip
+    changed = (result.frame, result.coefficients, result.radius, result.count, doubtful)
+    over_rows(piece_rows, len(rows), *(a.contiguous().numpy() for a in known), limits,
+              *(a.numpy() for a in changed))  # fmt: skip
+    return result, rows[doubtful]
+
+
+def by_tensors(
+    quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor
+) -> tuple[LocalQuadrics, Tensor]:
+    """The same on any device."""
+    doubtful = rows[_in_doubt(quadrics, sites, tolerance, rows)]
+    around = _Around.of(sites, doubtful, tolerance)
+    index = sites.around(_HYPOTHESES).index[doubtful, :_HYPOTHESES]
+    return _refitted(quadrics, around, index), doubtful
+
+
+def _in_doubt(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor) -> Tensor:
+    """Which of some quadrics miss their own sample or too many of the nearest."""
+    near = Neighbours(sites.near.distance[rows, :_CLOSE], sites.near.index[rows, :_CLOSE])
+    off, limit = heights_over(quadrics[rows], sites.samples[near.index]).abs(), tolerance[rows]
     weights = _weights(near)
-    on = ((off < tolerance[:, None]) * weights).sum(dim=1) / weights.sum(dim=1)
-    return ((on < _WHOLE) | (off[:, 0] > tolerance)).nonzero().squeeze(1)
+    on = ((off < limit[:, None]) * weights).sum(dim=1) / weights.sum(dim=1)
+    return (on < _WHOLE) | (off[:, 0] > limit)
 
 
 def _weights(near: Neighbours) -> Tensor:
@@ -91,17 +124,11 @@ class _Around:
     tolerance: Tensor
 
     @classmethod
-    def of(
-        cls,
-        quadrics: LocalQuadrics,
-        doubtful: Tensor,
-        tolerance: Tensor,
-        samples: Tensor,
-        tree: NeighbourTree,
-    ) -> _Around:
-        near = tree.nearest(quadrics.origin[doubtful], _POOL)
-        points = samples[near.index]
-        return cls(doubtful, samples, near, points, _weights(near), tolerance[doubtful])
+    def of(cls, sites: Sites, doubtful: Tensor, tolerance: Tensor) -> _Around:
+        distance, index = sites.near.distance, sites.near.index
+        near = Neighbours(distance[doubtful, :_POOL], index[doubtful, :_POOL])
+        points = sites.samples[near.index]
+        return cls(doubtful, sites.samples, near, points, _weights(near), tolerance[doubtful])
 
     def explained(self, quadrics: LocalQuadrics) -> tuple[Tensor, Tensor]:
         """How much of each neighbourhood a quadric explains (d,), and which samples (d, k)."""
@@ -125,6 +152,6 @@ def _refitted(quadrics: LocalQuadrics, around: _Around, hypotheses: Tensor) -> L
     near = Neighbours(around.near.distance[better], around.near.index[better])
     fitted = fit_chosen(around.samples, near, quadrics.origin[which], piece[better])
     fitted = replace(fitted, error=quadrics.error[which], spacing=quadrics.spacing[which])
-    result = quadrics[torch.arange(len(quadrics.origin), device=which.device)]
+    result = copied(quadrics)
     put(result, which, fitted)
     return result

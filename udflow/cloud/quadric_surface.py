@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from udflow.cloud.creases import Candidates, feet_at_creases
+from udflow.cloud.fits import fit_width
 from udflow.cloud.neighbours import Neighbours, NeighbourTree
 from udflow.cloud.quadric_loops import project_rows
-from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, fit_width, put
+from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, put
 from udflow.compiled import over_rows
 
 _BLEND = 6  # quadrics that share in a foot

@@ -13,14 +13,11 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from udflow.cloud.neighbours import Neighbours, NeighbourTree
-
-_FALLOFF = 2.0  # weight exp(-falloff (distance / radius)^2)
+FALLOFF = 2.0  # weight exp(-falloff (distance / radius)^2)
 PATCH = 2.0  # radii from its sample beyond which a quadric is not followed
 # A breath of regularisation keeps collinear neighbourhoods solvable and flat ones flat.
-_RIDGE = (1e-6, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3)
+RIDGE = (1e-6, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3)
 NEWTON_STEPS = 2  # to the foot
-_CHUNK = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -54,82 +51,16 @@ class LocalQuadrics:
         return LocalQuadrics(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
-@dataclass(frozen=True)
-class Fits:
-    """Quadrics fitted with one number of neighbours.
-
-    Attributes:
-        quadrics: n of them.
-        variance: (n,) share of the samples' noise variance that is left in the height of each
-            quadric at its site.
-    """
-
-    quadrics: LocalQuadrics
-    variance: Tensor
-
-
-def fit_width(samples: Tensor, tree: NeighbourTree, origins: Tensor, k: int) -> Fits:
-    """Fits a quadric to the k nearest samples of each origin.
-
-    Args:
-        samples: (m, 3) the data.
-        tree: the tree of the samples.
-        origins: (n, 3) where the quadrics are wanted, unit frame.
-        k: neighbours to use.
-    """
-    parts = [_fit_chunk(samples, tree.nearest(part, k), part) for part in origins.split(_CHUNK)]
-    return Fits(joined([p.quadrics for p in parts]), torch.cat([p.variance for p in parts]))
-
-
-def fit_chosen(
-    samples: Tensor, neighbours: Neighbours, origin: Tensor, chosen: Tensor
-) -> LocalQuadrics:
-    """Fits quadrics to some of the neighbours of each origin.
-
-    Args:
-        samples: (m, 3) the data.
-        neighbours: k of each origin.
-        origin: (n, 3) where the quadrics are wanted.
-        chosen: (n, k) bool, the neighbours to fit to.
-    """
-    counted = Neighbours(neighbours.distance * chosen, neighbours.index)
-    return _fit_weighted(samples, counted, origin, chosen.float()).quadrics
-
-
-def _fit_chunk(samples: Tensor, neighbours: Neighbours, origin: Tensor) -> Fits:
-    return _fit_weighted(samples, neighbours, origin, torch.ones_like(neighbours.distance))
-
-
-def _fit_weighted(samples: Tensor, neighbours: Neighbours, origin: Tensor, share: Tensor) -> Fits:
-    offsets = samples[neighbours.index] - origin[:, None]
-    radius = neighbours.distance.amax(dim=1, keepdim=True).clamp_min(1e-9)
-    weights = share * torch.exp(-_FALLOFF * (neighbours.distance / radius).square())
-    frame = principal_frame(offsets, weights)
-    local = torch.einsum("nkj,nij->nki", offsets / radius[..., None], frame)
-    basis = _monomials(local[..., 0], local[..., 1])
-    normal_matrix = torch.einsum("nk,nki,nkj->nij", weights, basis, basis)
-    ridge = torch.diag(torch.tensor(_RIDGE, device=samples.device))
-    normal_matrix = normal_matrix + ridge * weights.sum(dim=1)[:, None, None]
-    inverse = torch.linalg.inv(normal_matrix)
-    moments = torch.einsum("nk,nki,nk->ni", weights, basis, local[..., 2])
-    coefficients = torch.einsum("nij,nj->ni", inverse, moments)
-    # leave-one-out residual of the sample itself: r / (1 - H), with H its own influence
-    influence = inverse[:, 0, 0].clamp(0, 0.999)
-    error = (coefficients[:, 0].abs() / (1 - influence)) * radius[:, 0]
-    # the height at the site is a weighted sum of the samples' heights
-    heights = weights * torch.einsum("ni,nki->nk", inverse[:, 0], basis)
-    # one sample per a^2 puts the sixth neighbour at about 1.3 a
-    spacing = neighbours.distance[:, min(6, neighbours.distance.shape[1] - 1)] / 1.3
-    count = share.sum(dim=1).long()
-    quadrics = LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, spacing, count)
-    return Fits(quadrics, heights.square().sum(dim=1))
-
-
 def joined(parts: list[LocalQuadrics]) -> LocalQuadrics:
     """Quadrics one after the other."""
     return LocalQuadrics(
         *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(LocalQuadrics))
     )
+
+
+def copied(quadrics: LocalQuadrics) -> LocalQuadrics:
+    """The same in tensors of their own."""
+    return LocalQuadrics(*(getattr(quadrics, f.name).clone() for f in fields(LocalQuadrics)))
 
 
 def put(target: LocalQuadrics, which: Tensor, values: LocalQuadrics) -> None:
@@ -149,7 +80,8 @@ def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:
     return vectors.flip(dims=(2,)).transpose(1, 2).contiguous()
 
 
-def _monomials(u: Tensor, v: Tensor) -> Tensor:
+def monomials(u: Tensor, v: Tensor) -> Tensor:
+    """What the coefficients of quadrics multiply, (..., 6), of u and v."""
     return torch.stack([torch.ones_like(u), u, v, u * u, u * v, v * v], dim=-1)
 
 
@@ -157,7 +89,7 @@ def heights_over(quadrics: LocalQuadrics, points: Tensor) -> Tensor:
     """Heights (n, k) of k points each (n, k, 3) over n quadrics, along the quadrics' own w."""
     offset = (points - quadrics.origin[:, None]) / quadrics.radius[:, None, None]
     local = torch.einsum("nkj,nij->nki", offset, quadrics.frame)
-    surface = _monomials(local[..., 0], local[..., 1]) * quadrics.coefficients[:, None]
+    surface = monomials(local[..., 0], local[..., 1]) * quadrics.coefficients[:, None]
     return (local[..., 2] - surface.sum(dim=-1)) * quadrics.radius[:, None]
 
 
@@ -219,5 +151,5 @@ def feet_on_quadrics(
 
 def _lifted(coefficients: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Points of quadrics over (n,) u and v, in their frames, (n, 3)."""
-    height = (coefficients * _monomials(u, v)).sum(dim=1)
+    height = (coefficients * monomials(u, v)).sum(dim=1)
     return torch.stack([u, v, height], dim=1)

@@ -11,6 +11,7 @@ from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.pieces import on_one_piece
 from udflow.cloud.quadric_surface import QuadricSurface, quadrics_between
 from udflow.cloud.quadrics import joined
+from udflow.cloud.sites import Sites
 from udflow.cloud.widths import fit_quadrics
 
 
@@ -38,8 +39,9 @@ class SampledSurface:
                 the site of a quadric. All of them are data.
         """
         tree = NeighbourTree(samples)
-        sites = thinned(samples, detail) if detail > 0 else samples
-        quadrics = on_one_piece(fit_quadrics(sites, samples, tree), samples, tree)
+        origin = thinned(samples, detail) if detail > 0 else samples
+        sites = Sites(samples if len(origin) == len(samples) else origin, samples, tree)
+        quadrics = on_one_piece(fit_quadrics(sites), sites)
         if detail > 0:
             quadrics = replace(quadrics, spacing=quadrics.spacing.clamp_min(detail))
         return cls(samples, tree, QuadricSurface.of(quadrics))
@@ -49,7 +51,8 @@ class SampledSurface:
         quadrics = self.surface.quadrics
         nearest = quadrics[self.surface.tree.nearest(points, 1).index[:, 0]]
         between = quadrics_between(points, self.samples, self.tree, nearest)
-        every = on_one_piece(joined([quadrics, between]), self.samples, self.tree)
+        every = joined([quadrics, between])
+        every = on_one_piece(every, Sites(every.origin, self.samples, self.tree))
         return replace(self, surface=QuadricSurface.of(every))
 
     def project(self, points: Tensor) -> Tensor:

@@ -14,10 +14,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from udflow.cloud.neighbours import NeighbourTree
-from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, fit_width, put
+from udflow.cloud.fits import Fits, fit_nearest, fit_width
+from udflow.cloud.quadrics import LocalQuadrics, copied, put
+from udflow.cloud.sites import NARROW, Sites
 
-NEIGHBOUR_COUNTS = (10, 16, 24, 40, 64, 96, 144)  # widths tried for each sample
+NEIGHBOUR_COUNTS = (NARROW, 16, 24, 40, 64, 96, 144)  # widths tried for each sample
 _SCORE_NEIGHBOURS = 96  # sites over which held-back errors are averaged
 _CHANGE_NEIGHBOURS = 32  # sites over which changes of the surface are averaged
 _FINE = 0.02  # of the spacing: a held-back error not worth a wider neighbourhood
@@ -27,18 +28,11 @@ _CHANGE = 1.15  # mean squared change, in variances that the noise explains
 _LARGEST_CHANGE = 25.0  # that one site may contribute
 
 
-def fit_quadrics(sites: Tensor, samples: Tensor, tree: NeighbourTree) -> LocalQuadrics:
-    """Fits a quadric at every site, each with the width that suits its neighbourhood.
-
-    Args:
-        sites: (n, 3) some of the samples, unit frame.
-        samples: (m, 3) distinct points, the data.
-        tree: the tree of the samples.
-    """
-    counts = [k for k in NEIGHBOUR_COUNTS if k <= tree.size] or [tree.size]
-    choice = _Choice(sites, samples, tree, counts[0])
-    for k in counts[1:]:
-        if len(choice.growing) == 0:
+def fit_quadrics(sites: Sites) -> LocalQuadrics:
+    """Fits a quadric at every site, each with the width that suits its neighbourhood."""
+    choice = _Choice(sites)
+    for k in NEIGHBOUR_COUNTS[1:]:
+        if k > sites.tree.size or len(choice.growing) == 0:
             break
         choice.widen(k)
     return replace(choice.best, error=choice.lowest)
@@ -47,49 +41,54 @@ def fit_quadrics(sites: Tensor, samples: Tensor, tree: NeighbourTree) -> LocalQu
 class _Choice:
     """The widths chosen so far, and the sites at which wider ones are worth a try."""
 
-    def __init__(self, sites: Tensor, samples: Tensor, tree: NeighbourTree, k: int) -> None:
-        self._sites, self._samples, self._tree = sites, samples, tree
-        around = NeighbourTree(sites).nearest(sites, _SCORE_NEIGHBOURS).index
-        self._around, self._near = around, around[:, :_CHANGE_NEIGHBOURS]
-        first = fit_width(samples, tree, sites, k)
-        self.best, self._variance = first.quadrics, first.variance
-        self._foot = feet_on_quadrics(self.best, sites)
-        self._error = self.best.error.clone()
+    def __init__(self, sites: Sites) -> None:
+        sites.around(_SCORE_NEIGHBOURS)  # and not fewer first
+        self._sites = sites
+        first = sites.narrow
+        self.best, self._variance = copied(first.quadrics), first.variance.clone()
+        self._foot = first.foot.clone()
+        self._error = first.quadrics.error.clone()
         self._change = torch.zeros_like(self._error)
         self.lowest = self._scores()
-        self.growing = (self.lowest > _FINE * self.best.spacing).nonzero().squeeze(1)
+        self.growing = self._worth_more(torch.arange(len(self._error), device=self._foot.device))
 
     def widen(self, k: int) -> None:
         """Tries k neighbours at the sites that are still growing."""
-        sites, growing = self._sites[self.growing], self.growing
-        wider = fit_width(self._samples, self._tree, sites, k)
-        foot = feet_on_quadrics(wider.quadrics, sites)
+        growing, wider = self.growing, self._fitted(k)
         self._error[growing] = wider.quadrics.error
-        score, lowest = self._scores()[growing], self.lowest[growing]
-        explained = self._explained(foot, wider.variance)
+        score, lowest = self._scores(growing), self.lowest[growing]
+        explained = self._explained(wider)  # at every width, for those that stop
         tolerable = score < _PATIENCE * lowest
         accepted = score < lowest
         if k >= _NOISY:
             accepted |= tolerable & explained
         taken = growing[accepted]
         put(self.best, taken, wider.quadrics[accepted])
-        self._variance[taken], self._foot[taken] = wider.variance[accepted], foot[accepted]
+        self._variance[taken], self._foot[taken] = wider.variance[accepted], wider.foot[accepted]
         self.lowest[growing] = torch.minimum(lowest, score)
-        self.growing = growing[tolerable & (self.lowest[growing] > _FINE * self._spacing(growing))]
+        self.growing = self._worth_more(growing[tolerable])
 
-    def _explained(self, foot: Tensor, variance: Tensor) -> Tensor:
+    def _fitted(self, k: int) -> Fits:
+        sites, growing = self._sites, self.growing
+        origin = sites.origin[growing]
+        if k <= sites.near.index.shape[1]:
+            return fit_nearest(sites.samples, origin, sites.near, k, growing)
+        return fit_width(sites.samples, sites.tree, origin, k)
+
+    def _explained(self, wider: Fits) -> Tensor:
         """Whether the noise explains by how much wider fits move the feet of growing sites."""
         growing = self.growing
-        moved = (foot - self._foot[growing]).square().sum(dim=1)
+        moved = (wider.foot - self._foot[growing]).square().sum(dim=1)
         before = self._variance[growing]
-        gained = torch.maximum(before - variance, 0.15 * before)
+        gained = torch.maximum(before - wider.variance, 0.15 * before)
         noise = self.lowest[growing].square().clamp_min(1e-16)
         self._change[growing] = (moved / (noise * gained)).clamp_max(_LARGEST_CHANGE)
-        return self._change[self._near].mean(dim=1)[growing] < _CHANGE
+        return self._sites.mean(self._change, _CHANGE_NEIGHBOURS, growing) < _CHANGE
 
-    def _scores(self) -> Tensor:
-        """(n,) root of the mean squared held-back error around each site."""
-        return self._error.square()[self._around].mean(dim=1).sqrt()
+    def _scores(self, which: Tensor | None = None) -> Tensor:
+        """Roots of the mean squared held-back error around each site, or around some."""
+        return self._sites.mean(self._error.square(), _SCORE_NEIGHBOURS, which).sqrt()
 
-    def _spacing(self, which: Tensor) -> Tensor:
-        return self.best.spacing[which]
+    def _worth_more(self, which: Tensor) -> Tensor:
+        """Those of some sites whose error is not yet small against their spacing."""
+        return which[self.lowest[which] > _FINE * self.best.spacing[which]]

@@ -10,6 +10,7 @@ from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.pieces import on_one_piece
 from udflow.cloud.quadric_surface import QuadricSurface
 from udflow.cloud.sampled_surface import SampledSurface
+from udflow.cloud.sites import Sites
 from udflow.cloud.widths import fit_quadrics
 
 SPACING = 0.02
@@ -50,7 +51,7 @@ def near_edges(count: int, outside: bool) -> Tensor:
 
 def plain(samples: Tensor) -> QuadricSurface:
     """The surface with quadrics through all the nearest samples, whatever they belong to."""
-    return QuadricSurface.of(fit_quadrics(samples, samples, NeighbourTree(samples)))
+    return QuadricSurface.of(fit_quadrics(Sites(samples, samples, NeighbourTree(samples))))
 
 
 @pytest.mark.parametrize("outside", [True, False])
@@ -73,9 +74,9 @@ def test_feet_of_what_lies_outside_a_corner_are_at_the_corner() -> None:
 
 def test_a_smooth_surface_has_one_piece_everywhere() -> None:
     points = torch.nn.functional.normalize(uniform(6000, 2), dim=1) * 0.5
-    tree = NeighbourTree(points)
-    quadrics = fit_quadrics(points, points, tree)
-    kept = on_one_piece(quadrics, points, tree)
+    sites = Sites(points, points, NeighbourTree(points))
+    quadrics = fit_quadrics(sites)
+    kept = on_one_piece(quadrics, sites)
     changed = (kept.coefficients != quadrics.coefficients).any(dim=1)
     assert float(changed.float().mean()) < 0.01
 
@@ -83,9 +84,9 @@ def test_a_smooth_surface_has_one_piece_everywhere() -> None:
 def test_noise_is_not_taken_for_creases() -> None:
     points = torch.nn.functional.normalize(uniform(6000, 2), dim=1) * 0.5
     points += 0.004 * torch.randn(points.shape, generator=torch.Generator().manual_seed(1))
-    tree = NeighbourTree(points)
-    quadrics = fit_quadrics(points, points, tree)
-    changed = on_one_piece(quadrics, points, tree).coefficients != quadrics.coefficients
+    sites = Sites(points, points, NeighbourTree(points))
+    quadrics = fit_quadrics(sites)
+    changed = on_one_piece(quadrics, sites).coefficients != quadrics.coefficients
     assert float(changed.any(dim=1).float().mean()) < 0.02
 
 

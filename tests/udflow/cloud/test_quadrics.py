@@ -13,6 +13,7 @@ from torch import Tensor
 from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.quadric_surface import quadrics_between
 from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, joined, principal_frame
+from udflow.cloud.sites import Sites
 from udflow.cloud.widths import NEIGHBOUR_COUNTS, fit_quadrics
 
 
@@ -22,7 +23,7 @@ def noisy(points: Tensor, sigma: float) -> Tensor:
 
 
 def fitted(samples: Tensor) -> LocalQuadrics:
-    return fit_quadrics(samples, samples, NeighbourTree(samples))
+    return fit_quadrics(Sites(samples, samples, NeighbourTree(samples)))
 
 
 def curvatures(quadrics: LocalQuadrics) -> Tensor:
@@ -142,7 +143,7 @@ def test_feet_are_on_the_quadric_and_finite_even_beyond_its_focus() -> None:
 def test_between_the_samples_quadrics_are_like_their_neighbours() -> None:
     samples = noisy(Sphere().sample(2000), 0.002)
     tree = NeighbourTree(samples)
-    quadrics = fit_quadrics(samples, samples, tree)
+    quadrics = fit_quadrics(Sites(samples, samples, tree))
     points = Sphere().sample(300, seed=9)
     like = quadrics[tree.nearest(points, 1).index[:, 0]]
     before = joined([like])
@@ -158,8 +159,8 @@ def test_between_the_samples_quadrics_are_like_their_neighbours() -> None:
 def test_only_the_sites_get_quadrics_and_all_samples_are_data() -> None:
     samples = noisy(Sphere().sample(3000), 0.003)
     tree = NeighbourTree(samples)
-    every = fit_quadrics(samples, samples, tree)
-    some = fit_quadrics(samples[::3], samples, tree)
+    every = fit_quadrics(Sites(samples, samples, tree))
+    some = fit_quadrics(Sites(samples[::3], samples, tree))
     assert torch.equal(some.origin, samples[::3])
     assert float(some.error.median()) == pytest.approx(float(every.error.median()), rel=0.1)
     torch.testing.assert_close(some.spacing.median(), every.spacing.median(), rtol=0.1, atol=0)
