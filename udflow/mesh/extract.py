@@ -22,6 +22,7 @@ from udflow.mesh.lattice import Lattice
 from udflow.mesh.manifold import separated
 from udflow.mesh.marching import FAR, FAR_SPACINGS, marched
 from udflow.mesh.mesh import Mesh
+from udflow.mesh.necks import without_necks
 from udflow.mesh.orientation import oriented
 from udflow.mesh.rims import faired
 from udflow.mesh.support import SampleSet
@@ -148,8 +149,10 @@ def _finished(field: ProjectiveField, draft: Draft, samples: Tensor, voxel: floa
     data = SampleSet.of(samples.double().cpu().numpy(), voxel)
     draft = trimmed(draft, data, voxel, project)
     draft = without_dust(draft, data, voxel)
-    draft = without_small_handles(separated(draft))
+    draft = without_small_handles(separated(draft, data.spacing))
     draft = closed(draft, data, project)
+    draft = without_necks(draft, data, project)
+    draft = without_dust(draft, data, voxel)
     return faired(draft, FAIRING * data.spacing, voxel, project)
 
 

@@ -2,49 +2,87 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from udflow.mesh.draft import Draft, Project
+from udflow.mesh.filling import LONGEST, least_filling
 from udflow.mesh.support import SampleSet, support_at
-from udflow.mesh.topology import parts, side_ends
+from udflow.mesh.topology import face_normals, parts, side_ends
+from udflow.mesh.trim import SMALLEST_HOLE
 
-ALWAYS = 8  # edges of a loop that is smaller than any hole the samples could show
-LARGEST = 64  # edges of a loop that may be closed where the data goes on around it
-DATA_GOES_ON = -0.4  # mean overshoot on such a loop, in spacings
+LARGEST = 60.0  # squared spacings that may be closed where the data goes on
+DATA_GOES_ON = -0.4  # mean overshoot around such a hole, in spacings
+COVERED = 0.2  # part of the samples due on a patch that show it to be surface
+FLAT = 0.0  # cosine between neighbouring faces of a patch below which another one is tried
 _FAN = 10  # vertices around one centre at most; longer loops get rings first
 
 
+@dataclass(frozen=True)
+class Loop:
+    """A closed border.
+
+    Attributes:
+        vertices: (n,) in the order of the missing faces.
+        outside: (n,) face at the side from each vertex to the next.
+    """
+
+    vertices: NDArray[np.int64]
+    outside: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+
+@dataclass(frozen=True)
+class _Patch:
+    """What fills a loop: (k, 3) new vertices, and faces whose corners count the loop's vertices
+    first and the new ones after them."""
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
 def closed(draft: Draft, samples: SampleSet, project: Project) -> Draft:
-    """The mesh with small loops closed, and longer ones where the data goes on around them.
+    """The mesh with holes closed that are too small to show in samples, and larger ones where
+    the data goes on: around the hole, or on the patch that would close it.
 
     Args:
         draft: oriented triangles.
         samples: the data.
         project: moves (n, 3) new vertices onto the surface.
     """
-    loops = [loop for loop in border_loops(draft) if len(loop) <= LARGEST]
+    loops = [loop for loop in border_loops(draft) if len(loop) <= LONGEST]
     if not loops:
         return draft
-    chosen = _failures(draft, loops, samples)
-    if not chosen:
+    patches = _patches(draft, loops, project)
+    false = _failures(draft, loops, patches, samples)
+    pairs = zip(loops, patches, strict=True)
+    return _with_patches(draft, [pair for pair, wrong in zip(pairs, false, strict=True) if wrong])
+
+
+def filled(draft: Draft, loops: list[Loop], project: Project) -> Draft:
+    """The mesh with these loops filled."""
+    if not loops:
         return draft
-    points: list[NDArray[np.float64]] = []
-    faces: list[NDArray[np.int64]] = []
-    count = len(draft.vertices)
-    for loop in chosen:
-        new_points, new_faces = _patch(draft.vertices[loop], loop, count)
-        points.append(new_points)
-        faces.append(new_faces)
-        count += len(new_points)
-    added = np.concatenate(points)
-    added = project(added) if len(added) > 0 else added
-    return draft.replaced(added, np.concatenate([draft.faces, *faces]))
+    return _with_patches(draft, list(zip(loops, _patches(draft, loops, project), strict=True)))
 
 
-def border_loops(draft: Draft) -> list[NDArray[np.int64]]:
-    """Closed borders as vertices in the order of the missing faces; only loops that pass every
-    vertex once."""
+def _with_patches(draft: Draft, pairs: list[tuple[Loop, _Patch]]) -> Draft:
+    faces, points, count = [draft.faces], [np.zeros((0, 3))], len(draft.vertices)
+    for loop, patch in pairs:
+        number = np.concatenate([loop.vertices, count + np.arange(len(patch.points))])
+        faces.append(number[patch.faces])
+        points.append(patch.points)
+        count += len(patch.points)
+    return draft.replaced(np.concatenate(points), np.concatenate(faces)) if pairs else draft
+
+
+def border_loops(draft: Draft) -> list[Loop]:
+    """Closed borders that pass every vertex once."""
     sides = draft.loose_edges().sides_where(1)[:, 0]
     end, start = side_ends(draft.faces, sides)  # a missing face runs against its neighbour
     used, flat = np.unique(np.stack([start, end]), return_inverse=True)
@@ -57,10 +95,15 @@ def border_loops(draft: Draft) -> list[NDArray[np.int64]]:
     broken[label[~simple]] = True
     following = np.zeros(len(used), dtype=np.int64)
     following[start] = end
+    outside = np.zeros(len(used), dtype=np.int64)
+    outside[start] = sides // 3
+    order = np.argsort(label, kind="stable")
+    bounds = np.flatnonzero(np.diff(label[order], prepend=-1))
     loops = []
-    for first in np.unique(label[~broken[label]], return_index=False):
-        members = np.flatnonzero(label == first)
-        loops.append(used[_walk(following, int(members[0]), len(members))])
+    for first, count in zip(order[bounds], np.diff(bounds, append=len(order)), strict=True):
+        if not broken[label[first]]:
+            walk = _walk(following, int(first), int(count))
+            loops.append(Loop(used[walk], outside[walk]))
     return loops
 
 
@@ -73,26 +116,105 @@ def _walk(following: NDArray[np.int64], first: int, count: int) -> NDArray[np.in
 
 
 def _failures(
-    draft: Draft, loops: list[NDArray[np.int64]], samples: SampleSet
-) -> list[NDArray[np.int64]]:
-    vertices = np.concatenate(loops)
-    found = support_at(samples, draft.vertices, draft.faces, vertices).overshoot
-    means = [part.mean() for part in np.split(found, np.cumsum([len(p) for p in loops])[:-1])]
-    return [
-        loop
-        for loop, mean in zip(loops, means, strict=True)
-        if len(loop) <= ALWAYS or mean < DATA_GOES_ON
-    ]
+    draft: Draft, loops: list[Loop], patches: list[_Patch], samples: SampleSet
+) -> list[bool]:
+    """Which of the loops are failures of extraction."""
+    every = np.concatenate([loop.vertices for loop in loops])
+    found = support_at(samples, draft.vertices, draft.faces, every)
+    loop_of = np.repeat(np.arange(len(loops)), [len(loop) for loop in loops])
+    beyond = np.bincount(loop_of, found.overshoot) / np.bincount(loop_of)
+    spacing = np.bincount(loop_of, found.spacing) / np.bincount(loop_of)
+    area = np.array([_area(draft, *pair) for pair in zip(loops, patches, strict=True)])
+    due = area / spacing**2
+    count = _samples_on(draft, loops, patches, samples)
+    goes_on = (beyond < DATA_GOES_ON) | (count > COVERED * due)
+    false = (due <= SMALLEST_HOLE) | ((due <= LARGEST) & goes_on)
+    return [bool(wrong) for wrong in false]
 
 
-def _patch(
-    corners: NDArray[np.float64], loop: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """New vertices, numbered from `count`, and faces that fill a loop: rings of half as many
-    vertices while it is long, then a fan."""
+def _area(draft: Draft, loop: Loop, patch: _Patch) -> float:
+    """Of the least surface over a loop, but no more than its patch has."""
+    least = least_filling(draft.vertices[loop.vertices])[1]
+    corners = np.concatenate([draft.vertices[loop.vertices], patch.points])
+    return min(least, 0.5 * float(np.linalg.norm(face_normals(corners, patch.faces), axis=1).sum()))
+
+
+def _samples_on(
+    draft: Draft, loops: list[Loop], patches: list[_Patch], samples: SampleSet
+) -> NDArray[np.intp]:
+    """(n,) samples beside the new vertices of each patch, nearer to them than to the border."""
+    rim = np.concatenate([loop.vertices for loop in loops])
+    points = np.concatenate([patch.points for patch in patches])
+    of = np.repeat(np.arange(len(patches)), [len(patch.points) for patch in patches])
+    tree = cKDTree(np.concatenate([points, draft.vertices[rim]]))
+    nearest = tree.query(samples.points, workers=2, distance_upper_bound=samples.spacing)[1]
+    return np.bincount(of[nearest[nearest < len(points)]], minlength=len(patches))
+
+
+def _patches(draft: Draft, loops: list[Loop], project: Project) -> list[_Patch]:
+    """What fills the loops, with new vertices on the surface; where that leaves folds, without
+    new vertices if it is flatter."""
+    patches = [_rings(draft.vertices[loop.vertices]) for loop in loops]
+    added = np.concatenate([patch.points for patch in patches])
+    added = project(added) if len(added) > 0 else added
+    feet = np.split(added, np.cumsum([len(patch.points) for patch in patches])[:-1])
+    result = []
+    for loop, patch, points in zip(loops, patches, feet, strict=True):
+        chosen = _Patch(points, patch.faces)
+        flatness = _flatness(draft, loop, chosen)
+        if flatness < FLAT:
+            corners = draft.vertices[loop.vertices]
+            plain = _Patch(np.zeros((0, 3)), least_filling(corners, joined(draft, loop))[0])
+            if len(plain.faces) > 0 and _flatness(draft, loop, plain) > flatness:
+                chosen = plain
+        result.append(chosen)
+    return result
+
+
+def _flatness(draft: Draft, loop: Loop, patch: _Patch) -> float:
+    """The least cosine between neighbouring faces of a patch, and between it and its outside."""
+    corners = np.concatenate([draft.vertices[loop.vertices], patch.points])
+    normals = _unit(face_normals(corners, patch.faces))
+    outside = _unit(face_normals(draft.vertices, draft.faces[loop.outside]))
+    count = len(corners)
+    start, end = patch.faces.reshape(-1), np.roll(patch.faces, -1, axis=1).reshape(-1)
+    owner = np.repeat(np.arange(len(patch.faces)), 3)
+    rim = np.arange(len(loop))
+    key = np.concatenate([start * count + end, ((rim + 1) % len(loop)) * count + rim])
+    across = np.concatenate([end * count + start, rim * count + (rim + 1) % len(loop)])
+    every = np.concatenate([normals[owner], outside])
+    order = np.argsort(key)
+    partner = order[np.searchsorted(key[order], across).clip(max=len(key) - 1)]
+    matched = key[partner] == across
+    return float(np.einsum("ij,ij->i", every, every[partner])[matched].min())
+
+
+def joined(draft: Draft, loop: Loop) -> NDArray[np.bool_]:
+    """(n, n) which vertices of a loop the mesh joins by an edge already."""
+    number = np.full(len(draft.vertices), -1)
+    number[loop.vertices] = np.arange(len(loop))
+    place = number[draft.faces]
+    place = place[(place >= 0).sum(axis=1) >= 2]
+    result = np.zeros((len(loop) + 1, len(loop) + 1), dtype=bool)
+    for one, two in ((0, 1), (1, 2), (2, 0)):
+        result[place[:, one], place[:, two]] = True
+        result[place[:, two], place[:, one]] = True
+    return result[:-1, :-1]
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    unit: NDArray[np.float64] = vectors / np.maximum(
+        np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30
+    )
+    return unit
+
+
+def _rings(corners: NDArray[np.float64]) -> _Patch:
+    """Rings of half as many vertices while a loop is long, then a fan."""
+    loop = np.arange(len(corners))
     if len(loop) == 3:
-        return np.zeros((0, 3)), loop[None]
-    centre = corners.mean(axis=0)
+        return _Patch(np.zeros((0, 3)), loop[None])
+    centre, count = corners.mean(axis=0), len(corners)
     points, faces = [], []
     while len(loop) > _FAN:
         inner = 0.5 * (_pair_means(corners) + centre)
@@ -104,7 +226,7 @@ def _patch(
     hub = np.full(len(loop), count)
     faces.append(np.stack([loop, np.roll(loop, -1), hub], axis=1))
     points.append(centre[None])
-    return np.concatenate(points), np.concatenate(faces)
+    return _Patch(np.concatenate(points), np.concatenate(faces))
 
 
 def _pair_means(corners: NDArray[np.float64]) -> NDArray[np.float64]:

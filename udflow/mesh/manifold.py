@@ -9,39 +9,53 @@ from udflow.mesh.draft import Draft
 from udflow.mesh.topology import parts, side_ends
 
 _ROUNDS = 4
+LONG_JUNCTION = 12.0  # spacings from end to end: three sheets that meet so far do meet
+_ASIDE = 0.02  # of the way into its faces that the middle of a doubled edge moves
 
 
-def separated(draft: Draft) -> Draft:
-    """The mesh with touching sheets taken apart.
+def separated(draft: Draft, spacing: float) -> Draft:
+    """The mesh with sheets that touch taken apart.
 
     Edges with four faces are the touch of two sheets: one of them gets the edge's middle as a
-    vertex of its own. Border vertices at which several fans of faces meet are doubled. Edges with
-    three faces, true junctions, are left.
+    vertex of its own. Edges with three faces are true junctions if many of them make a long line.
+    Else a scrap of sheet ends there, and the two faces that belong together leave it. Vertices at
+    which several fans of faces meet are doubled.
+
+    Args:
+        draft: oriented triangles.
+        spacing: of the samples.
     """
     if not draft.loose.any():
         return draft
     for _ in range(_ROUNDS):
-        divided = _with_touching_edges_apart(draft)
+        divided = draft
+        for count in (4, 3, 5, 6):
+            divided = _with_sheets_apart(divided, count, LONG_JUNCTION * spacing)
         if divided is draft:
             break
         draft = divided
     return _with_fans_apart(draft)
 
 
-def _with_touching_edges_apart(draft: Draft) -> Draft:
-    sides = draft.loose_edges().sides_where(4)
+def _with_sheets_apart(draft: Draft, count: int, long: float) -> Draft:
+    """One pair of faces taken from each edge that has `count` of them."""
+    edges = draft.loose_edges()
+    sides = edges.sides_where(count)
+    if len(sides) > 0 and count % 2 == 1:
+        ends = edges.ends[edges.count == count]
+        sides = sides[~_in_long_lines(draft.vertices, ends, long)]
     if len(sides) == 0:
         return draft
     # a face may lie at two such edges: one now, the other in the next round
     face = sides // 3
     owner = np.full(len(draft.faces), len(sides))
-    np.minimum.at(owner, face.reshape(-1), np.repeat(np.arange(len(sides)), 4))
+    np.minimum.at(owner, face.reshape(-1), np.repeat(np.arange(len(sides)), count))
     sides = sides[(owner[face] == np.arange(len(sides))[:, None]).all(axis=1)]
     pair = _second_sheet(draft, sides)
     start, end = side_ends(draft.faces, pair)
     opposite = _opposite(draft.faces, pair)
     ends = 0.5 * (draft.vertices[start[:, 0]] + draft.vertices[end[:, 0]])
-    middle = 0.98 * ends + 0.02 * draft.vertices[opposite].mean(axis=1)
+    middle = (1 - _ASIDE) * ends + _ASIDE * draft.vertices[opposite].mean(axis=1)
     number = (len(draft.vertices) + np.arange(len(pair)))[:, None].repeat(2, axis=1)
     faces = draft.faces.copy()
     faces[pair // 3] = np.stack([start, number, opposite], axis=2)
@@ -49,11 +63,27 @@ def _with_touching_edges_apart(draft: Draft) -> Draft:
     return draft.replaced(middle, np.concatenate([faces, added]))
 
 
-def _second_sheet(draft: Draft, sides: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(k, 2) sides of one of the two sheets at edges with (k, 4) sides.
+def _in_long_lines(
+    vertices: NDArray[np.float64], ends: NDArray[np.int64], long: float
+) -> NDArray[np.bool_]:
+    """(e,) whether edges hang together in lines at least this long from end to end."""
+    line = parts(ends, len(vertices))[ends[:, 0]]
+    number, line = np.unique(line, return_inverse=True)
+    low = np.full((len(number), 3), np.inf)
+    high = -low
+    for column in ends.T:
+        np.minimum.at(low, line, vertices[column])
+        np.maximum.at(high, line, vertices[column])
+    result: NDArray[np.bool_] = (np.linalg.norm(high - low, axis=1) >= long)[line]
+    return result
 
-    Around the edge the sheets are neighbours in angle; of the two such pairings the one whose
-    faces agree in orientation is taken, and if both do, the flatter one.
+
+def _second_sheet(draft: Draft, sides: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n, 2) sides of one sheet at edges with (n, k) sides.
+
+    Around the edge the faces of a sheet are neighbours in angle. Of all such pairs the one is
+    taken whose faces agree in orientation, and of several the flattest; where four faces make two
+    pairs, those of both count.
     """
     start, end = side_ends(draft.faces, sides)
     forward = start < end
@@ -71,12 +101,14 @@ def _second_sheet(draft: Draft, sides: NDArray[np.int64]) -> NDArray[np.int64]:
     turn, forward, sides = (
         np.take_along_axis(values, order, axis=1) for values in (angle, forward, sides)
     )
-    agree = [(forward[:, i] != forward[:, (i + 1) % 4]).astype(float) for i in range(4)]
     gap = np.diff(turn, axis=1, append=turn[:, :1] + 2 * np.pi)
-    flat = -np.abs(gap - np.pi) / (4 * np.pi)
-    first = agree[0] + agree[2] + flat[:, 0] + flat[:, 2]
-    second = agree[1] + agree[3] + flat[:, 1] + flat[:, 3]
-    return np.where((first >= second)[:, None], sides[:, :2], sides[:, 1:3])
+    agree = forward != np.roll(forward, -1, axis=1)
+    score = agree - np.abs(gap - np.pi) / (4 * np.pi)
+    if sides.shape[1] == 4:
+        score += np.roll(score, 2, axis=1)
+    best = score.argmax(axis=1)[:, None]
+    pair = np.concatenate([best, (best + 1) % sides.shape[1]], axis=1)
+    return np.take_along_axis(sides, pair, axis=1)
 
 
 def _opposite(faces: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -86,9 +118,7 @@ def _opposite(faces: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.
 
 def _with_fans_apart(draft: Draft) -> Draft:
     edges = draft.loose_edges()
-    at_border = np.zeros(len(draft.vertices), dtype=bool)
-    at_border[edges.ends[edges.count == 1]] = True
-    corner = np.flatnonzero(at_border[draft.faces.reshape(-1)])
+    corner = np.flatnonzero(draft.loose[draft.faces.reshape(-1)])
     place = np.full(draft.faces.size, -1)
     place[corner] = np.arange(len(corner))
     inner = np.repeat(edges.count > 1, edges.count)

@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from udflow.fields.interface import ProjectiveField
+from udflow.mesh.draft import Draft
+from udflow.mesh.filling import least_filling
+from udflow.mesh.holes import border_loops, joined
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.topology import edges_of
 
 _TOLERANCE = 0.1  # voxels off the surface that nobody sees
 _ASTRAY = 0.4  # voxels off the surface, after all, that show that there is none
 _STEPS = 3
+_LONGEST_GAP = 24  # edges around vertices left out together that other vertices can bridge
 _FRONTS = 4  # rounds in which vertices that came to rest hold further ones
 _SHARES = (0.5, 0.2, 0.05)  # of the way to a neighbour that are left to a vertex that never settles
 
@@ -26,7 +30,8 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
     Closing small holes and smoothing rims leave vertices beside the surface; a field that is asked
     at a vertex should answer that it is there. Where feet jump to and fro, as at the end of a
     crease, a vertex has no foot to rest on; it is drawn to a neighbour that has one.
-    What never comes to rest, as between samples that are far apart, is left out.
+    What never comes to rest is left out: single vertices for faces between their neighbours,
+    many together, as between samples that are far apart, for a hole.
 
     Args:
         mesh: in the unit frame.
@@ -58,15 +63,30 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
 
 
 def _without(mesh: Mesh, dropped: NDArray[np.int64]) -> Mesh:
-    """The mesh without some vertices and the faces at them."""
+    """The mesh without some vertices and the faces at them; small gaps that this leaves are closed
+    by faces between the vertices that stay."""
     gone = np.zeros(len(mesh.vertices), dtype=bool)
     gone[dropped] = True
     faces = mesh.faces[~gone[mesh.faces].any(axis=1)]
     if len(dropped) == 0 or len(faces) == 0:
         return mesh
+    faces = np.concatenate([faces, *_bridges(mesh, faces)])
     used, numbers = np.unique(faces, return_inverse=True)
     colors = None if mesh.colors is None else mesh.colors[used]
     return Mesh(mesh.vertices[used], numbers.reshape(-1, 3), colors)
+
+
+def _bridges(mesh: Mesh, faces: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Faces over the short borders that the mesh has not, but some of its faces alone have."""
+    edges = edges_of(mesh.faces)
+    old = np.zeros(len(mesh.vertices), dtype=bool)
+    old[edges.ends[edges.count != 2]] = True
+    draft = Draft(mesh.vertices, faces, np.ones(len(old), dtype=bool))
+    return [
+        loop.vertices[least_filling(mesh.vertices[loop.vertices], joined(draft, loop))[0]]
+        for loop in border_loops(draft)
+        if len(loop) <= _LONGEST_GAP and not old[loop.vertices].any()
+    ]
 
 
 def _unsettled(

@@ -44,7 +44,7 @@ class SampleSet:
     @classmethod
     def of(cls, samples: Points, voxel: float) -> SampleSet:
         """The set of (n, 3) samples, one for each occupied cube as wide as a voxel."""
-        points = samples[_first_of_cluster(samples, voxel)[0]]
+        points = samples[first_of_cluster(samples, voxel)[0]]
         tree = cKDTree(points)
         count = min(9, len(points))
         radius = tree.query(points[:: max(1, len(points) // 2000)], k=[count])[0]
@@ -75,7 +75,7 @@ def support(samples: SampleSet, vertices: Points, faces: NDArray[np.int64]) -> S
 
     Vertices well inside the data are not measured one by one; they get the value of a neighbour.
     """
-    leader, cluster = _first_of_cluster(vertices, _COARSE * samples.spacing)
+    leader, cluster = first_of_cluster(vertices, _COARSE * samples.spacing)
     any_face = np.zeros(len(vertices), dtype=np.int64)
     any_face[faces] = np.arange(len(faces))[:, None]
     normals = _unit(face_normals(vertices, faces[any_face[leader]]))
@@ -128,7 +128,7 @@ def _measured(
     return Support(result, spacing)
 
 
-def _first_of_cluster(points: Points, width: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def first_of_cluster(points: Points, width: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """One point of each occupied cube of a width, and for each point its cube."""
     cell = np.floor((points - points.min(axis=0)) / width).astype(np.int64)
     key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.settling import settled
+from udflow.mesh.topology import edges_of
 
 VOXEL = 0.05
 
@@ -71,3 +72,34 @@ def test_a_mesh_of_which_nothing_rests_stays_whole() -> None:
     mesh = fan(0.5 * VOXEL)
     result = settled(mesh, Floor(restless=2 * VOXEL), VOXEL, torch.device("cpu"))
     np.testing.assert_array_equal(result.faces, mesh.faces)
+
+
+def grid(side: int) -> Mesh:
+    """A flat square of triangles around the axis."""
+    step = VOXEL * (np.arange(side + 1) - side / 2)
+    x, y = np.meshgrid(step, step, indexing="ij")
+    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    number = np.arange((side + 1) ** 2).reshape(side + 1, side + 1)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    return Mesh(vertices, faces.reshape(-1, 3))
+
+
+def border_edges(mesh: Mesh) -> int:
+    return int((edges_of(mesh.faces).count == 1).sum())
+
+
+def test_the_gap_of_a_vertex_left_out_is_bridged_by_its_neighbours() -> None:
+    mesh = grid(16)
+    restless = Floor(restless=5.2 * VOXEL)
+    result = settled(mesh, restless, VOXEL, torch.device("cpu"))
+    assert len(result.vertices) < len(mesh.vertices) - 8
+    assert border_edges(result) == border_edges(mesh)
+    vertices = torch.from_numpy(result.vertices).float()
+    assert float((restless.project(vertices) - vertices).norm(dim=1).max()) < 0.1 * VOXEL
+
+
+def test_where_many_vertices_are_left_out_together_a_hole_stays() -> None:
+    mesh = grid(20)
+    result = settled(mesh, Floor(restless=7 * VOXEL), VOXEL, torch.device("cpu"))
+    assert border_edges(result) > border_edges(mesh)
