@@ -23,7 +23,9 @@ ROUNDS = 4
 LOCAL = 2.0  # spacings from its site up to which a quadric ends other pieces
 WAY = 1.5  # spacings: where two quadrics meet farther from the foot on one, it is no crease
 BEHIND = 0.7  # spacings
-ON_DATA = 1.2  # spacings from the nearest site within which a piece surely goes on
+SURELY_ON = 0.4  # spacings beyond the outermost of its sites that a piece goes on
+OVERSHOOT = 0.8  # spacings that it goes on where a sample of any piece lies near
+ON_DATA = 1.0  # spacings that are near
 NEAR = 4.0  # spacings from its site beyond which a query cannot tell pieces
 PARALLEL = 1e-3  # squared sine of the angle of planes below which they do not meet
 
@@ -64,19 +66,13 @@ class Candidates:
         total = weights.sum(dim=1, keepdim=True).clamp_min(1e-12)
         return (weights[..., None] * self.feet).sum(dim=1) / total
 
-    def on_data(self, feet: Tensor) -> Tensor:
-        """(n, k) whether each of (n, k, 3) feet lies near one of the sites."""
-        apart = (feet[:, :, None] - self.origins[:, None]).norm(dim=3)
-        return apart.amin(dim=2) < ON_DATA * self.spacing[:, None]
-
-    def nearest_on_data(self) -> Tensor:
-        """(n, 3) the nearest foot that lies near a site; the nearest site where none does."""
+    def nearest_among(self, allowed: Tensor) -> Tensor:
+        """(n, 3) the nearest of the (n, c) allowed feet; the nearest site where none is."""
         way = (self.feet - self.points[:, None]).norm(dim=2)
-        way = torch.where(self.on_data(self.feet), way, torch.inf)
-        shortest = way.argmin(dim=1)
+        shortest = torch.where(allowed, way, torch.inf).argmin(dim=1)
         row = torch.arange(len(shortest), device=shortest.device)
-        found = torch.isfinite(way[row, shortest])
-        return torch.where(found[:, None], self.feet[row, shortest], self.origins[:, 0])
+        foot = self.feet[row, shortest]
+        return torch.where(allowed.any(dim=1, keepdim=True), foot, self.origins[:, 0])
 
     def creased(self) -> Tensor:
         """Indices of the queries whose quadrics belong to different pieces."""
@@ -98,7 +94,8 @@ def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
     distance = (candidates.feet - candidates.points[:, None]).norm(dim=2)
     # a foot far behind the nearest one is farther than the crease between them
     close = distance < distance.amin(dim=1, keepdim=True) + BEHIND * candidates.spacing[:, None]
-    valid = ~beyond.any(dim=1) & close & candidates.on_data(candidates.feet)
+    supported = _supported(candidates, turned)
+    valid = ~beyond.any(dim=1) & close & supported
     lead = torch.where(valid, distance, torch.inf).argmin(dim=1)
     row = torch.arange(len(lead), device=lead.device)
     foot = candidates.blended(candidates.feet[row, lead], valid & ~turned[row, lead])
@@ -106,15 +103,21 @@ def feet_at_creases(quadrics: LocalQuadrics, candidates: Candidates) -> Tensor:
     none = (~valid.any(dim=1)).nonzero().squeeze(1)
     if len(none) == 0:
         return foot
-    foot[none] = _where_two_meet(quadrics, candidates[none], beyond[none], height[none])
+    foot[none] = _where_two_meet(
+        quadrics, candidates[none], beyond[none], height[none], supported[none]
+    )
     return foot
 
 
 def _where_two_meet(
-    quadrics: LocalQuadrics, candidates: Candidates, beyond: Tensor, height: Tensor
+    quadrics: LocalQuadrics,
+    candidates: Candidates,
+    beyond: Tensor,
+    height: Tensor,
+    supported: Tensor,
 ) -> Tensor:
-    """Feet (n, 3) on both the nearest quadric and the one that ends it most, if they meet near
-    sites; else the nearest foot that lies near one."""
+    """Feet (n, 3) on both the nearest quadric and the one that ends it most; where these do not
+    meet nearby, on the first quadric if its samples support that, else the nearest that are."""
     crossed = torch.where(beyond[:, :, 0], height[:, :, 0].abs(), -1.0).argmax(dim=1)
     row = torch.arange(len(crossed), device=crossed.device)
     one = quadrics[candidates.quadrics[:, 0]]
@@ -122,9 +125,27 @@ def _where_two_meet(
     foot = _on_both(one, two, candidates.points, candidates.feet[:, 0])
     lone = candidates.blended(candidates.feet[:, 0], torch.ones_like(candidates.farness))
     astray = (foot - lone).norm(dim=1) > WAY * candidates.spacing
-    foot = torch.where(astray[:, None], lone, foot)
-    near = candidates.on_data(foot[:, None])
-    return torch.where(near, foot, candidates.nearest_on_data())
+    lone = torch.where(supported[:, :1], lone, candidates.nearest_among(supported))
+    return torch.where(astray[:, None], lone, foot)
+
+
+def _supported(candidates: Candidates, turned: Tensor) -> Tensor:
+    """(n, c) whether the samples of its own piece reach up to each foot, or nearly.
+
+    A face does not go on in its plane beyond an edge. By how far a foot lies beyond its piece is
+    measured as in `mesh.support`: along the direction to the centroid of the sites.
+
+    Args:
+        candidates: of n queries.
+        turned: (n, k, j) which of their quadrics are different pieces.
+    """
+    offset = candidates.origins[:, None] - candidates.feet[:, :, None]
+    spacing = candidates.spacing[:, None]
+    inwards = torch.nn.functional.normalize((offset * ~turned[..., None]).sum(dim=2), dim=2)
+    along = (offset * inwards[:, :, None]).sum(dim=3)
+    overshoot = torch.where(turned, torch.inf, along).amin(dim=2) / spacing
+    near = offset.norm(dim=3).amin(dim=2) / spacing < ON_DATA
+    return (overshoot < SURELY_ON) | (near & (overshoot < OVERSHOOT))
 
 
 def _turned(around: LocalQuadrics, candidates: Candidates) -> Tensor:
