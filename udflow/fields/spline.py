@@ -285,8 +285,8 @@ class SplineField:
         return self.levels[-1].covers(points)
 
     def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
-        """Feet of (n, 3) points, and (n,) bool, whether they lie within 1.5 finest cells of them, both
-        where the finest level is faithful."""
+        """Feet of (n, 3) points, and (n,) bool, whether these lie nearby, both where the finest
+        level is faithful."""
         feet, cells = self.levels[0].stepped(points, _REFINEMENTS)
         near = (feet - points).norm(dim=1) < _NEAR * self.levels[0].grid.spacing
         return feet, near & self._faithful(cells[:, 0]) & self._faithful(cells[:, 1])
