@@ -18,6 +18,7 @@ export async function open({ path = "", ...options } = {}) {
   });
   const size = { width: 1360, height: 860 };
   const context = await browser.newContext({ viewport: size, acceptDownloads: true, ...options });
+  context.setDefaultTimeout(90_000); // machines that run tests are busy
   const page = await context.newPage();
   const mistakes = [];
   page.on("pageerror", (error) => mistakes.push(error.message));

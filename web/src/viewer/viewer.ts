@@ -4,46 +4,23 @@ import {
   Box3,
   Color,
   ColorManagement,
-  DataTexture,
-  LinearFilter,
   LinearSRGBColorSpace,
   Raycaster,
-  Scene,
   Vector2,
   Vector3,
-  Vector4,
   WebGLRenderer,
 } from "three";
-import { ageTable, type MapName, table } from "../pure/colormap";
+import type { MapName } from "../pure/colormap";
 import type { Box } from "../pure/formats/crop";
 import type { Frame } from "../pure/frame";
 import type { Slice } from "../pure/slice";
 import { type Up, upVector } from "../pure/up";
-import { CropBox } from "./crop_box";
 import { Eye, type View } from "./eye";
-import { type CloudData, type PointColors, PointsLayer } from "./points";
+import { FIRST_LOOK, Layers, type Look, type Palette } from "./layers";
+import type { CloudData } from "./points";
 import { Relief } from "./relief";
-import { SliceLayer } from "./slice";
 import { cornersOf, type Space, sampleOf, spaceOf, type Vector } from "./space";
-import { type MeshColors, type MeshData, SurfaceLayer } from "./surface";
-
-export interface Look {
-  points: boolean;
-  mesh: boolean;
-  wireframe: boolean;
-  flat: boolean;
-  meshColors: MeshColors;
-  pointColors: PointColors;
-  slice: boolean;
-  /** Where input and result meet, 0 to 1 of the width; null shows both together. */
-  split: number | null;
-}
-
-export interface Palette {
-  background: string;
-  ink: string;
-  plain: string;
-}
+import type { MeshData } from "./surface";
 
 export interface Hover {
   value: number;
@@ -62,33 +39,16 @@ export class Viewer {
   /** After each picture. Lengths are those of the world. */
   onView: (view: View) => void = () => {};
   private readonly renderer: WebGLRenderer;
-  private readonly scene = new Scene();
   private readonly eye: Eye;
   private readonly relief = new Relief();
-  private readonly ramp = new DataTexture(table("viridis"), 256, 1);
-  private readonly ages = new DataTexture(ageTable(), 256, 1);
-  private readonly cloud = new PointsLayer(this.ramp, this.ages);
-  private readonly input = new PointsLayer(this.ramp, this.ages);
-  private readonly surface = new SurfaceLayer();
-  private readonly slice = new SliceLayer(this.ramp);
-  private readonly cropBox = new CropBox();
+  private readonly layers = new Layers();
   private readonly watching: ResizeObserver;
   private space: Space = { centre: [0, 0, 0], extent: 1 };
   private kept: Box | null = null;
   /** Some of what is shown, in the scene: the picture is framed by it. */
   private sample: Float32Array | null = null;
   private box = new Box3(new Vector3(-0.5, -0.5, -0.5), new Vector3(0.5, 0.5, 0.5));
-  private clipAxis: { axis: number; at: number } | null = null;
-  private look: Look = {
-    points: true,
-    mesh: true,
-    wireframe: false,
-    flat: false,
-    meshColors: "plain",
-    pointColors: "ink",
-    slice: false,
-    split: null,
-  };
+  private look = FIRST_LOOK;
   private scheduled = 0;
   private bornAt = 0;
   private arrivedAt: number | null = null;
@@ -101,13 +61,6 @@ export class Viewer {
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "low-power" });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.renderer.autoClear = false;
-    for (const texture of [this.ramp, this.ages]) {
-      texture.minFilter = LinearFilter;
-      texture.magFilter = LinearFilter;
-      texture.needsUpdate = true;
-    }
-    const layers = [this.input, this.cloud, this.surface, this.slice];
-    this.scene.add(...layers.map((layer) => layer.object), this.cropBox.object);
     this.eye = new Eye(canvas, () => this.invalidate());
     canvas.addEventListener("webglcontextlost", this.lost);
     canvas.addEventListener("webglcontextrestored", this.restored);
@@ -134,13 +87,7 @@ export class Viewer {
 
   /** Takes everything away. */
   clear(): void {
-    for (const layer of [this.cloud, this.input, this.surface, this.slice]) {
-      layer.object.visible = false;
-    }
-    this.cloud.count = 0;
-    this.input.count = 0;
-    this.surface.triangles = 0;
-    this.clipAxis = null;
+    this.layers.clear();
     this.eye.hasMoved = false;
     this.sample = null;
     this.apply();
@@ -148,20 +95,20 @@ export class Viewer {
 
   /** The scan itself, or the points of a finished job. */
   showCloud(data: CloudData): void {
-    this.cloud.uniforms.newest.value = 0;
-    this.cloud.show(data, this.space);
+    this.layers.cloud.uniforms.newest.value = 0;
+    this.layers.cloud.show(data, this.space);
     this.lookAt(data);
     this.apply();
   }
 
   /** The measured points alone, for heat map and split view. */
   showInput(data: CloudData): void {
-    this.input.show(data, this.space);
+    this.layers.input.show(data, this.space);
     this.apply();
   }
 
   showMesh(data: MeshData): void {
-    this.surface.show(data, this.space);
+    this.layers.surface.show(data, this.space);
     this.apply();
   }
 
@@ -169,20 +116,19 @@ export class Viewer {
   showFrame(frame: Frame, room: number): void {
     this.arrivedAt = performance.now();
     if (frame.kind === "mesh") {
-      this.surface.show({ ...frame, positions: frame.positions.slice() }, this.space);
+      this.layers.surface.show({ ...frame, positions: frame.positions.slice() }, this.space);
     } else {
-      this.cloud.show(frame, this.space, room);
+      this.layers.cloud.show(frame, this.space, room);
       if (!this.sample) this.lookAt(frame);
-      this.cloud.uniforms.rounds.value = frame.rounds;
-      if (frame.round > this.cloud.uniforms.newest.value) this.bornAt = performance.now();
-      this.cloud.uniforms.newest.value = frame.round;
+      this.layers.cloud.uniforms.rounds.value = frame.rounds;
+      if (frame.round > this.layers.cloud.uniforms.newest.value) this.bornAt = performance.now();
+      this.layers.cloud.uniforms.newest.value = frame.round;
     }
     this.apply();
   }
 
   showSlice(slice: Slice, axis: number, at: number): { top: number; step: number } {
-    const scale = this.slice.show(slice, this.space, this.box);
-    this.clipAxis = { axis, at: (at - this.space.centre[axis]) / this.space.extent };
+    const scale = this.layers.showSlice(slice, axis, at, this.space, this.box);
     this.apply();
     if (!this.eye.hasMoved) this.frame();
     return scale;
@@ -190,7 +136,7 @@ export class Viewer {
 
   /** Distances of the measured points; colours reach from 0 to `top`. */
   setDistances(values: Float32Array, top: number): void {
-    this.input.setValues(values, top);
+    this.layers.input.setValues(values, top);
     this.invalidate();
   }
 
@@ -202,29 +148,20 @@ export class Viewer {
   }
 
   setMap(name: MapName): void {
-    (this.ramp.image.data as Uint8Array).set(table(name));
-    this.ramp.needsUpdate = true;
+    this.layers.setMap(name);
     this.invalidate();
   }
 
   setPalette(palette: Palette): void {
     this.renderer.setClearColor(new Color(palette.background), 1);
-    const ink = new Color(palette.ink);
-    const vector = new Vector3(ink.r, ink.g, ink.b);
-    for (const layer of [this.cloud, this.input]) layer.uniforms.ink.value = vector;
-    this.surface.ink = vector;
-    this.cropBox.color = vector;
-    const paper = new Color(palette.background);
-    this.cloud.uniforms.paper.value = new Vector3(paper.r, paper.g, paper.b);
-    const plain = new Color(palette.plain);
-    this.surface.uniforms.plain.value = new Vector3(plain.r, plain.g, plain.b);
+    this.layers.setPalette(palette);
     this.invalidate();
   }
 
   /** Stands where all of the data is seen. */
   frame(): void {
     const seen = this.sample ?? cornersOf(this.box);
-    this.eye.frame(Float32Array.from([...seen, ...(this.slice.corners ?? [])]));
+    this.eye.frame(Float32Array.from([...seen, ...(this.layers.slice.corners ?? [])]));
     this.invalidate();
   }
 
@@ -242,8 +179,10 @@ export class Viewer {
   /** The box that is to be kept, with what is outside of it faint; null shows all alike. */
   setCrop(box: Box | null): void {
     this.kept = box;
-    this.cropBox.show(box, this.space);
-    this.cloud.crop(this.cropBox.object.visible ? this.cropBox.object.box : null);
+    this.layers.cropBox.show(box, this.space);
+    this.layers.cloud.crop(
+      this.layers.cropBox.object.visible ? this.layers.cropBox.object.box : null,
+    );
     this.invalidate();
   }
 
@@ -255,27 +194,22 @@ export class Viewer {
     cancelAnimationFrame(this.scheduled);
     this.watching.disconnect();
     this.eye.dispose();
-    for (const layer of [this.cloud, this.input, this.surface, this.slice]) layer.dispose();
-    this.cropBox.dispose();
+    this.layers.dispose();
     this.relief.dispose();
-    this.ramp.dispose();
-    this.ages.dispose();
     this.renderer.dispose();
   }
 
   private readonly draw = (now: number): void => {
     this.scheduled = 0;
-    this.dots();
     this.animate(now);
     const { camera } = this.eye;
-    this.eye.focus();
-    this.clip();
-    this.surface.uniforms.back.value = camera.matrixWorld;
     const { target } = this.relief;
+    this.eye.focus();
+    this.layers.prepare(camera, target.height, this.renderer.getPixelRatio(), this.look);
     target.scissorTest = false;
     this.renderer.setRenderTarget(target);
     this.renderer.clear();
-    if (this.look.split === null) this.renderer.render(this.scene, this.eye.camera);
+    if (this.look.split === null) this.renderer.render(this.layers.scene, this.eye.camera);
     else this.drawSplit(target.width, target.height, this.look.split);
     this.relief.draw(this.renderer, camera);
     const { perPixel, axes } = this.eye.view(this.canvas.clientHeight);
@@ -304,9 +238,8 @@ export class Viewer {
     for (const { from, to, input } of halves) {
       target.scissor.set(from, 0, to - from, height);
       this.renderer.setRenderTarget(target);
-      this.input.object.visible = input;
-      this.surface.object.visible = !input;
-      this.renderer.render(this.scene, this.eye.camera);
+      this.layers.showHalf(input);
+      this.renderer.render(this.layers.scene, this.eye.camera);
     }
     target.scissorTest = false;
   }
@@ -314,48 +247,12 @@ export class Viewer {
   private animate(now: number): void {
     const age = (now - this.bornAt) / FADE_MS;
     const share = this.still() ? 1 : Math.min(Math.max(age, 0), 1);
-    this.cloud.uniforms.fade.value = 1 - (1 - share) ** 3;
-    if (share < 1 && this.cloud.object.visible) this.invalidate();
-  }
-
-  /** Sizes of the dots: they cover the surface about as far as they are apart. */
-  private dots(): void {
-    const { height } = this.relief.target;
-    const scale = height / (2 * Math.tan((this.eye.camera.fov * Math.PI) / 360));
-    for (const layer of [this.cloud, this.input]) {
-      const apart = Math.sqrt(2.2 / Math.max(layer.count, 500));
-      layer.uniforms.dot_size.value = 0.46 * apart * scale;
-      layer.uniforms.most_size.value = 9 * this.renderer.getPixelRatio();
-    }
-  }
-
-  /** With a slice, the half towards the viewer is cut away. */
-  private clip(): void {
-    const clip = new Vector4(0, 0, 0, 1);
-    if (this.look.slice && this.clipAxis) {
-      const { axis, at } = this.clipAxis;
-      const side = this.eye.camera.position.getComponent(axis) >= at ? 1 : -1;
-      clip.setComponent(axis, side);
-      clip.w = side * at + 1e-4;
-    }
-    for (const layer of [this.cloud, this.input, this.surface]) {
-      layer.uniforms.clip.value.copy(clip);
-    }
+    this.layers.cloud.uniforms.fade.value = 1 - (1 - share) ** 3;
+    if (share < 1 && this.layers.cloud.object.visible) this.invalidate();
   }
 
   private apply(): void {
-    const { look } = this;
-    const alone = look.pointColors === "distance" && this.input.count > 0;
-    this.input.object.visible = look.points && alone;
-    this.cloud.object.visible =
-      look.points && !alone && this.cloud.count > 0 && look.split === null;
-    this.surface.object.visible = look.mesh && this.surface.triangles > 0;
-    this.slice.object.visible = look.slice && this.clipAxis !== null;
-    this.cloud.mode = look.pointColors;
-    this.input.mode = look.pointColors === "round" ? "ink" : look.pointColors;
-    this.surface.mode = look.meshColors;
-    this.surface.wireframe = look.wireframe;
-    this.surface.uniforms.flat_faces.value = look.flat ? 1 : 0;
+    this.layers.apply(this.look);
     this.invalidate();
   }
 
@@ -381,7 +278,7 @@ export class Viewer {
       new Vector2((2 * x) / box.width - 1, 1 - (2 * y) / box.height),
       this.eye.camera,
     );
-    const found = this.slice.valueAt(caster.ray, this.space);
+    const found = this.layers.slice.valueAt(caster.ray, this.space);
     this.onHover(found && { ...found, x, y });
   };
 
