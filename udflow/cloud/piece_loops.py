@@ -85,7 +85,8 @@ def _off(
 ) -> float:  # fmt: skip
     """How far a sample is from a quadric, along the quadric's own w."""
     point = float(samples[sample, 0]), float(samples[sample, 1]), float(samples[sample, 2])
-    return abs(height_over(quadric, in_frame(quadric, point, origin, frame, radius), coefficients, radius))
+    local = in_frame(quadric, point, origin, frame, radius)
+    return abs(height_over(quadric, local, coefficients, radius))
 
 
 @compiled

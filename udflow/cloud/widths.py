@@ -26,6 +26,7 @@ _PATIENCE = 1.1  # times the lowest error: up to here wider ones are tried
 _NOISY = 24  # neighbours from which held-back errors alone no longer decide
 _CHANGE = 1.15  # mean squared change, in variances that the noise explains
 _LARGEST_CHANGE = 25.0  # that one site may contribute
+_KEPT = 1 << 15  # sites whose neighbours for all the widths are kept in memory
 
 
 def fit_quadrics(sites: Sites) -> LocalQuadrics:
@@ -43,14 +44,15 @@ class _Choice:
 
     def __init__(self, sites: Sites) -> None:
         sites.around(_SCORE_NEIGHBOURS)  # and not fewer first
-        self._sites = sites
+        self._sites, self._near = sites, sites.near
         first = sites.narrow
         self.best, self._variance = copied(first.quadrics), first.variance.clone()
         self._foot = first.foot.clone()
         self._error = first.quadrics.error.clone()
         self._change = torch.zeros_like(self._error)
         self.lowest = self._scores()
-        self.growing = self._worth_more(torch.arange(len(self._error), device=self._foot.device))
+        self._row = torch.arange(len(self._error), device=self._error.device)
+        self.growing = self._worth_more(self._row)
 
     def widen(self, k: int) -> None:
         """Tries k neighbours at the sites that are still growing."""
@@ -71,9 +73,12 @@ class _Choice:
     def _fitted(self, k: int) -> Fits:
         sites, growing = self._sites, self.growing
         origin = sites.origin[growing]
-        if k <= sites.near.index.shape[1]:
-            return fit_nearest(sites.samples, origin, sites.near, k, growing)
-        return fit_width(sites.samples, sites.tree, origin, k)
+        if k > self._near.index.shape[1] and len(growing) <= _KEPT:
+            self._near = sites.tree.nearest(origin, NEIGHBOUR_COUNTS[-1])
+            self._row[growing] = torch.arange(len(growing), device=growing.device)
+        if k > self._near.index.shape[1]:
+            return fit_width(sites.samples, sites.tree, origin, k)
+        return fit_nearest(sites.samples, origin, self._near, k, self._row[growing])
 
     def _explained(self, wider: Fits) -> Tensor:
         """Whether the noise explains by how much wider fits move the feet of growing sites."""

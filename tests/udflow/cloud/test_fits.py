@@ -11,7 +11,7 @@ import torch
 from shapes import Sphere, Torus, TwoSheets
 from torch import Tensor
 
-from udflow.cloud import fits, pieces, sites
+from udflow.cloud import fits, pieces, sites, widths
 from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.quadrics import LocalQuadrics, heights_over
 from udflow.cloud.sampled_surface import SampledSurface
@@ -139,3 +139,19 @@ def test_what_lies_near_is_looked_up_once() -> None:
     apart = Sites(samples[::2].contiguous(), samples, NeighbourTree(samples))
     assert apart.near.index.shape == (1500, 40)
     assert int(apart.near.index.max()) > 1500 > int(apart.around(40).index.max())
+
+
+def test_neighbours_that_are_kept_are_those_that_are_looked_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    samples = SAMPLES["noisy"]
+    found = []
+    for kept in (1 << 15, 1500, 0):
+        monkeypatch.setattr(widths, "_KEPT", kept)
+        found.append(
+            fit_quadrics(Sites(samples[::2].contiguous(), samples, NeighbourTree(samples)))
+        )
+    assert found[0].count.unique().tolist()[-1] > 64
+    for other in found[1:]:
+        for field in dataclasses.fields(LocalQuadrics):
+            assert torch.equal(getattr(found[0], field.name), getattr(other, field.name))
