@@ -64,7 +64,7 @@ def test_no_mesh_is_a_loss() -> None:
 def test_limits_are_kept_by_what_they_were_made_from() -> None:
     truth = MADE["torus"]()
     row = figures(replace(truth, vertices=1.01 * truth.vertices), truth, SETTINGS)
-    allowed = gate.limits(row)
+    allowed = gate.limits(row, SETTINGS.samples)
     assert gate.losses(row, allowed) == []
     assert gate.losses(row | {"error": 1.3 * row["error"]}, allowed) != []
 
@@ -87,7 +87,7 @@ def test_rows_of_the_bench_are_judged(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def run(file: Path, row: dict[str, Any], *options: str) -> int:
     """The gate's exit status for one row of a bench."""
-    file.write_text(json.dumps({"rows": [row]}))
+    file.write_text(json.dumps({"settings": {"samples": 2_000}, "rows": [row]}))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sys, "argv", ["gate.py", "--results", str(file), *options])
         try:
