@@ -16,7 +16,8 @@ from udflow.mesh.trim import SMALLEST_HOLE
 
 LARGEST = 60.0  # squared spacings that may be closed where the data goes on
 DATA_GOES_ON = -0.4  # mean overshoot around such a hole, in spacings
-COVERED = 0.2  # part of the samples due on a patch that show it to be surface
+COVERED = 0.2  # part of the samples due on a patch that show it to be surface,
+CHANCE = 2  # and samples of the rim that may seem to lie on it
 FLAT = 0.0  # cosine between neighbouring faces of a patch below which another one is tried
 _FAN = 10  # vertices around one centre at most; longer loops get rings first
 
@@ -127,7 +128,7 @@ def _failures(
     area = np.array([_area(draft, *pair) for pair in zip(loops, patches, strict=True)])
     due = area / spacing**2
     count = _samples_on(draft, loops, patches, samples)
-    goes_on = (beyond < DATA_GOES_ON) | (count > COVERED * due)
+    goes_on = (beyond < DATA_GOES_ON) | (count > CHANCE + COVERED * due)
     false = (due <= SMALLEST_HOLE) | ((due <= LARGEST) & goes_on)
     return [bool(wrong) for wrong in false]
 
@@ -158,13 +159,14 @@ def _patches(draft: Draft, loops: list[Loop], project: Project) -> list[_Patch]:
     added = np.concatenate([patch.points for patch in patches])
     added = project(added) if len(added) > 0 else added
     feet = np.split(added, np.cumsum([len(patch.points) for patch in patches])[:-1])
+    faces = faces_between(draft, loops)
     result = []
     for loop, patch, points in zip(loops, patches, feet, strict=True):
         chosen = _Patch(points, patch.faces)
         flatness = _flatness(draft, loop, chosen)
         if flatness < FLAT:
             corners = draft.vertices[loop.vertices]
-            plain = _Patch(np.zeros((0, 3)), least_filling(corners, joined(draft, loop))[0])
+            plain = _Patch(np.zeros((0, 3)), least_filling(corners, joined(faces, loop))[0])
             if len(plain.faces) > 0 and _flatness(draft, loop, plain) > flatness:
                 chosen = plain
         result.append(chosen)
@@ -189,11 +191,20 @@ def _flatness(draft: Draft, loop: Loop, patch: _Patch) -> float:
     return float(np.einsum("ij,ij->i", every, every[partner])[matched].min())
 
 
-def joined(draft: Draft, loop: Loop) -> NDArray[np.bool_]:
-    """(n, n) which vertices of a loop the mesh joins by an edge already."""
-    number = np.full(len(draft.vertices), -1)
-    number[loop.vertices] = np.arange(len(loop))
-    place = number[draft.faces]
+def faces_between(draft: Draft, loops: list[Loop]) -> NDArray[np.int64]:
+    """(n, 3) faces with two corners or more on any of the loops."""
+    on_rim = np.zeros(len(draft.vertices), dtype=bool)
+    for loop in loops:
+        on_rim[loop.vertices] = True
+    between: NDArray[np.int64] = draft.faces[on_rim[draft.faces].sum(axis=1) >= 2]
+    return between
+
+
+def joined(faces: NDArray[np.int64], loop: Loop) -> NDArray[np.bool_]:
+    """(n, n) which vertices of a loop (n, 3) faces join by an edge already."""
+    order = np.argsort(loop.vertices)
+    found = np.searchsorted(loop.vertices, faces, sorter=order).clip(max=len(loop) - 1)
+    place = np.where(loop.vertices[order[found]] == faces, order[found], -1)
     place = place[(place >= 0).sum(axis=1) >= 2]
     result = np.zeros((len(loop) + 1, len(loop) + 1), dtype=bool)
     for one, two in ((0, 1), (1, 2), (2, 0)):

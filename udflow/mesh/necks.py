@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from udflow.compiled import over_rows
 from udflow.mesh.ball_loops import MOST
@@ -27,8 +28,9 @@ from udflow.mesh.topology import edges_of, face_normals, side_ends
 LONGEST = 3.5  # spacings around a neck that the samples cannot show
 WIDENING = 3.0  # spacings from a neck within which both its ends widen into sheets
 SHEET = 0.5  # part of the surface of a flat sheet around a neck that must be found there
-CURVED = 0.97  # cosine between neighbouring faces below which a neck may be near
-ROUNDS = 3
+BEND = 0.5  # part of the angle between the faces around the widest neck that makes a place curved
+ROUNDS = 2
+_AGAIN = 2.0  # longest ways from a cut within which is looked again
 _STRIDE = 0.5  # of half of the longest way: about that near to it lies an examined vertex
 
 
@@ -63,25 +65,29 @@ def without_necks(draft: Draft, samples: SampleSet, project: Project) -> Draft:
         samples: the data.
         project: moves (n, 3) new vertices onto the surface.
     """
+    near: NDArray[np.float64] | None = None
     for _ in range(ROUNDS):
-        ways = _false_ways(draft, samples)
+        ways = _false_ways(draft, samples, near)
         if not ways:
             break
+        near = draft.vertices[np.concatenate(ways)]
         draft = _cut(draft, ways, samples.spacing, project)
     return draft
 
 
-def _false_ways(draft: Draft, samples: SampleSet) -> list[NDArray[np.int64]]:
-    """Closed ways around false necks that do not touch each other, the shortest first."""
-    surface = _capped(draft)
-    seeds, spacing = _seeds(surface, samples)
-    kind, ways = _short_ways(surface, seeds, spacing)
-    length = np.array([_length(surface.vertices, way) for way in ways])
-    short = [
-        i
-        for i in np.argsort(length, kind="stable")
-        if 0 < length[i] <= LONGEST * spacing[i] and ways[i].max() < surface.real
-    ]
+def _false_ways(
+    draft: Draft, samples: SampleSet, near: NDArray[np.float64] | None
+) -> list[NDArray[np.int64]]:
+    """Closed ways around false necks that do not touch each other, the shortest first.
+
+    near: (n, 3) places around which alone anything has changed since the last look.
+    """
+    surface = _capped(draft, samples.spacing)
+    seeds, spacing = _seeds(surface, samples, near)
+    kind, ways, length = _short_ways(surface, seeds, spacing)
+    order = np.argsort(length, kind="stable")
+    short = [i for i in order[length[order] <= LONGEST * spacing[order]]
+             if ways[i].max() < surface.real]  # fmt: skip
     chosen = [ways[i] for i in short]
     if not chosen:
         return []
@@ -92,14 +98,16 @@ def _false_ways(draft: Draft, samples: SampleSet) -> list[NDArray[np.int64]]:
 
 def _short_ways(
     surface: _Surface, seeds: NDArray[np.int64], spacing: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
-    """(n,) what the balls around seeds hold, and the shortest way of each, empty for a disc."""
+) -> tuple[NDArray[np.int64], list[NDArray[np.int64]], NDArray[np.float64]]:
+    """What the balls around n seeds hold, their shortest ways and the lengths of these, infinite
+    for a disc."""
     kind = np.zeros(len(seeds), dtype=np.int64)
     size = np.zeros(len(seeds), dtype=np.int64)
     way = np.zeros((len(seeds), MOST), dtype=np.int64)
     reach = 0.5 * LONGEST * (1 + _STRIDE) * spacing
     over_rows(search, len(seeds), seeds, reach, *surface.mesh(), kind, way, size)
-    return kind, [row[:count] for row, count in zip(way, size, strict=True)]
+    ways = [row[:count] for row, count in zip(way, size, strict=True)]
+    return kind, ways, _lengths(surface.vertices, way, size)
 
 
 def _widening(
@@ -121,12 +129,21 @@ def _widening(
     return np.where(meet, area.sum(axis=1), area.min(axis=1)) >= sheet, meet
 
 
-def _length(vertices: NDArray[np.float64], way: NDArray[np.int64]) -> float:
-    corner = vertices[way]
-    return float(np.linalg.norm(corner - np.roll(corner, -1, axis=0), axis=1).sum())
+def _lengths(
+    vertices: NDArray[np.float64], way: NDArray[np.int64], size: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(n,) lengths of closed ways, (n, m) of which `size` vertices each count; none is infinite."""
+    result = np.full(len(size), np.inf)
+    some = np.flatnonzero(size)
+    way, size = way[some], size[some, None]
+    place = np.arange(way.shape[1])
+    following = np.take_along_axis(way, np.where(place + 1 < size, place + 1, 0), axis=1)
+    edge = np.linalg.norm(vertices[way] - vertices[following], axis=2)
+    result[some] = np.where(place < size, edge, 0.0).sum(axis=1)
+    return result
 
 
-def _capped(draft: Draft) -> _Surface:
+def _capped(draft: Draft, spacing: float) -> _Surface:
     """The surface with a cone over every border, so that a hole is no neck."""
     vertices, faces = draft.vertices, draft.faces
     cones, centres = [faces], [vertices]
@@ -144,7 +161,11 @@ def _capped(draft: Draft) -> _Surface:
     beyond[sides[:, 0]], beyond[sides[:, 1]] = sides[:, 1] // 3, sides[:, 0] // 3
     normals = face_normals(vertices, faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    bend = np.einsum("ij,ij->i", normals[sides[:, 0] // 3], normals[sides[:, 1] // 3]) < CURVED
+    apart = draft.vertices[draft.faces[:, 0]] - draft.vertices[draft.faces[:, 1]]
+    turn = 2 * np.pi * np.linalg.norm(apart, axis=1).mean() / (LONGEST * spacing)
+    curved_below = np.cos(min(BEND * turn, 0.5 * np.pi))
+    cosine = np.einsum("ij,ij->i", normals[sides[:, 0] // 3], normals[sides[:, 1] // 3])
+    bend = cosine < curved_below
     curved = np.zeros(len(vertices), dtype=bool)
     for end in side_ends(faces, sides[bend, 0]):
         curved[end] = True
@@ -152,9 +173,15 @@ def _capped(draft: Draft) -> _Surface:
     return _Surface(vertices, faces, first, order // 3, beyond.reshape(-1, 3), curved, real)
 
 
-def _seeds(surface: _Surface, samples: SampleSet) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Vertices whose balls cover all curved places, and the spacing of the samples there."""
+def _seeds(
+    surface: _Surface, samples: SampleSet, near: NDArray[np.float64] | None
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Vertices whose balls cover all curved places, or those near some places, and the spacing of
+    the samples there."""
     curved = np.flatnonzero(surface.curved)
+    if near is not None:
+        away = cKDTree(near).query(surface.vertices[curved], workers=2)[0]
+        curved = curved[away < _AGAIN * LONGEST * samples.spacing]
     if len(curved) == 0:
         return curved, np.zeros(0)
     width = _STRIDE * 0.5 * LONGEST * samples.spacing

@@ -12,7 +12,7 @@ from torch import Tensor
 from udflow.fields.interface import ProjectiveField
 from udflow.mesh.draft import Draft
 from udflow.mesh.filling import least_filling
-from udflow.mesh.holes import border_loops, joined
+from udflow.mesh.holes import border_loops, faces_between, joined
 from udflow.mesh.mesh import Mesh
 from udflow.mesh.topology import edges_of
 
@@ -82,10 +82,15 @@ def _bridges(mesh: Mesh, faces: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     old = np.zeros(len(mesh.vertices), dtype=bool)
     old[edges.ends[edges.count != 2]] = True
     draft = Draft(mesh.vertices, faces, np.ones(len(old), dtype=bool))
-    return [
-        loop.vertices[least_filling(mesh.vertices[loop.vertices], joined(draft, loop))[0]]
+    loops = [
+        loop
         for loop in border_loops(draft)
         if len(loop) <= _LONGEST_GAP and not old[loop.vertices].any()
+    ]
+    between = faces_between(draft, loops)
+    return [
+        loop.vertices[least_filling(mesh.vertices[loop.vertices], joined(between, loop))[0]]
+        for loop in loops
     ]
 
 
