@@ -175,7 +175,7 @@ def test_a_worker_cut_off_from_redis_ends_itself(ground: Any) -> None:
 def test_redis_may_die_again_and_again_while_jobs_run(ground: Any) -> None:
     shop = ground.shop
     shop.start_worker(UDFLOW_LEASE_S="20")
-    jobs = [shop.submit(wanted=("mesh.ply",)) for _ in range(30)]
+    jobs = [shop.submit(wanted=("mesh.ply",)) for _ in range(12)]
     history = History()
     for job_id in jobs:
         history.acknowledged(job_id, job_id)
