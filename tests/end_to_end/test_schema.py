@@ -13,7 +13,7 @@ from chaos_kit import SOAK
 from whole_service import running
 
 HERE = Path(__file__).resolve().parent
-EXAMPLES = 30 if SOAK else 4  # of each operation and phase, beside those of the coverage
+EXAMPLES = 30 if SOAK else 2  # of each operation and phase, beside those of the coverage
 
 
 @pytest.fixture
