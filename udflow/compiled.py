@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numba
 import torch
 
+Array = Any  # a NumPy array inside a compiled loop
 F = TypeVar("F", bound=Callable[..., Any])
 _LEAST_ROWS = 1 << 10  # worth a thread
 

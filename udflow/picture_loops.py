@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
-Array = Any  # a NumPy array inside a compiled loop
 _EDGE = 1e-9  # pixels on an edge belong to both of its triangles, so that no gap opens
 
 

@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 
 def png(image: NDArray[np.uint8]) -> bytes:
-    """An RGBA image (height, width, 4) as PNG."""
-    height, width, _ = image.shape
+    """An RGBA image (height, width, 4) as PNG.
+
+    Raises:
+        ValueError: it has another number of channels.
+    """
+    height, width, channels = image.shape
+    if channels != 4:
+        raise ValueError(f"an image of {channels} channels is no RGBA image; add the opacity")
     rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
     header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))

@@ -91,3 +91,8 @@ def test_png_holds_exactly_the_pixels() -> None:
     rows = np.frombuffer(zlib.decompress(data), np.uint8).reshape(7, -1)
     assert (rows[:, 0] == 0).all()
     assert np.array_equal(rows[:, 1:].reshape(7, 5, 4), image)
+
+
+def test_an_image_without_opacity_is_refused() -> None:
+    with pytest.raises(ValueError, match="3 channels is no RGBA image"):
+        png(np.zeros((2, 2, 3), np.uint8))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -33,9 +32,7 @@ from udflow.cloud.quadric_geometry import (
     on_planes,
     row_of,
 )
-from udflow.compiled import compiled
-
-Array = Any  # a NumPy array inside a compiled loop
+from udflow.compiled import Array, compiled
 
 
 @compiled

@@ -1,9 +1,8 @@
 """Feet near creases, where the quadrics around a query belong to different pieces of surface.
 
 Each piece ends where it meets the next: a foot on one quadric does not count if it lies beyond
-another one, on the side where its own piece has no samples, or farther from all samples than
-neighbouring samples are from each other. If no foot counts, the query is nearest to the crease
-itself, the intersection of two quadrics.
+another one, on the side where its own piece has no samples, or beyond the outermost samples of its
+own. If no foot counts, the query is nearest to the crease itself, the intersection of two quadrics.
 """
 
 from __future__ import annotations

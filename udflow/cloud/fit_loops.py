@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from udflow.cloud.quadric_geometry import foot_on
 from udflow.cloud.quadrics import FALLOFF, RIDGE
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
-Array = Any  # a NumPy array inside a compiled loop
 Room = tuple[Array, Array, Array, Array, Array, Array]  # arrays to compute in, one set a thread
 _SWEEPS = 10  # of Jacobi's rotations; four or five do
 _SMALL = 1e-28  # share of the squared trace below which what is off the diagonal is nothing

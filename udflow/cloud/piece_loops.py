@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from udflow.cloud.fit_loops import fit_one, room_for
 from udflow.cloud.quadric_geometry import height_over, in_frame
-from udflow.compiled import compiled
-
-Array = Any  # a NumPy array inside a compiled loop
+from udflow.compiled import Array, compiled
 
 
 @compiled

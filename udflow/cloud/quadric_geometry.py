@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from udflow.cloud.creases import PARALLEL
 from udflow.cloud.quadrics import NEWTON_STEPS, PATCH
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
-Array = Any  # a NumPy array inside a compiled loop
 Vector = tuple[float, float, float]
 # why a pair of plain functions and tuples: arrays made inside the loop would cost more than it
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from udflow.cloud.crease_loops import blended, compare, foot_at_crease, is_creased
 from udflow.cloud.quadric_geometry import foot_on, minus, norm, row_of
-from udflow.compiled import compiled
-
-Array = Any  # a NumPy array inside a compiled loop
+from udflow.compiled import Array, compiled
 
 
 @compiled

@@ -40,7 +40,7 @@ class QuadricSurface:
 
     def _project(self, points: Tensor) -> Tensor:
         near = self.tree.nearest(points, _BLEND)
-        by = self.by_tensors if points.is_cuda else self.by_loop
+        by = self.by_loop if points.device.type == "cpu" else self.by_tensors
         return by(points, near)
 
     def by_loop(self, points: Tensor, near: Neighbours) -> Tensor:

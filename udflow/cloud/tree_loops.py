@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
-Array = Any  # a NumPy array inside a compiled loop
 _LEAF = 16  # samples of a leaf, at most
 _DEPTH = 64  # more than any tree has
 _FEW = 16  # numbers that are sorted as they are

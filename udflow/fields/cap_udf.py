@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from udflow.cloud.neighbours import NeighbourTree
-from udflow.fields.evaluation import NetworkEvaluator
+from udflow.fields.evaluation import NetworkEvaluator, feet_within
 from udflow.fields.outputs import energy_slopes, output_value
 from udflow.neural_config import NetworkConfig
 
@@ -67,12 +67,8 @@ class CapUdfField:
 
     def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
         """Feet of (n, 3) points, and (n,) bool, whether they are as near the sites as the trained
-        queries were. What the network says of its own distance is no evidence: far away it may say
-        anything."""
-        near = sites.nearest(points, 1).distance[:, 0] <= self.reach
-        feet = points.clone()
-        feet[near] = self.project(points[near])
-        return feet, near
+        queries were."""
+        return feet_within(self.reach, points, sites, self.project)
 
     def _distance_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
         value, slope = self._network(points)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
+from udflow.cloud.neighbours import NeighbourTree
 from udflow.fields.network import Network
 from udflow.fields.outputs import output_factor
 from udflow.fields.passes import Pass, TimedNetwork
@@ -43,3 +46,21 @@ class NetworkEvaluator:
             part = slice(start, start + len(chunk))
             value[part], slope[part] = room.run(timed, chunk)
         return value * factor, slope * factor
+
+
+def feet_within(
+    reach: float, points: Tensor, sites: NeighbourTree, project: Callable[[Tensor], Tensor]
+) -> tuple[Tensor, Tensor]:
+    """Feet (n, 3) of points no farther from the sites than a network was trained, and (n,) bool,
+    which these are. What it says of its own distance is no evidence: far away it may say anything.
+
+    Args:
+        reach: distance of the farthest trained queries from the surface.
+        points: (n, 3).
+        sites: points that are known to be on the surface.
+        project: to the feet, by the network.
+    """
+    near = sites.nearest(points, 1).distance[:, 0] <= reach
+    feet = points.clone()
+    feet[near] = project(points[near])
+    return feet, near

@@ -70,7 +70,7 @@ class SparseLattice:
         Returns:
             (...) int64, -1 where the point is not active or outside the lattice.
         """
-        by = self.find_by_tensors if coordinates.is_cuda else self.find_by_loop
+        by = self.find_by_loop if coordinates.device.type == "cpu" else self.find_by_tensors
         return by(coordinates)
 
     def find_by_loop(self, coordinates: Tensor) -> Tensor:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from udflow.compiled import compiled
-
-Array = Any  # a NumPy array inside a compiled loop
+from udflow.compiled import Array, compiled
 
 
 @compiled

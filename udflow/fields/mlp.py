@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from udflow.cloud.neighbours import NeighbourTree
-from udflow.fields.evaluation import NetworkEvaluator
+from udflow.fields.evaluation import NetworkEvaluator, feet_within
 from udflow.fields.outputs import energy_slopes, output_value
 from udflow.flow.integrate import integrate_reverse, unsigned_distance
 from udflow.flow.schedule import TimeSchedule
@@ -65,12 +65,8 @@ class MLPField:
 
     def answers(self, points: Tensor, sites: NeighbourTree) -> tuple[Tensor, Tensor]:
         """Feet of (n, 3) points, and (n,) bool, whether they are as near the sites as the trained
-        queries were. What the network says of its own distance is no evidence: far away it may say
-        anything."""
-        near = sites.nearest(points, 1).distance[:, 0] <= self.reach
-        feet = points.clone()
-        feet[near] = self.project(points[near])
-        return feet, near
+        queries were."""
+        return feet_within(self.reach, points, sites, self.project)
 
     @cached_property
     def _network(self) -> NetworkEvaluator:

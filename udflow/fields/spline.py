@@ -159,7 +159,7 @@ class SplineLevel:
     def stepped(self, points: Tensor, steps: int) -> tuple[Tensor, Tensor]:
         """(n, 3) points moved by -(Hess E) grad E so many times, and (n, 2) the cells in which
         they began and ended, -1 outside the band. A point that leaves the band stops there."""
-        by = self.stepped_by_tensors if points.is_cuda else self.stepped_by_loop
+        by = self.stepped_by_loop if points.device.type == "cpu" else self.stepped_by_tensors
         return by(points, steps)
 
     def stepped_by_tensors(self, points: Tensor, steps: int) -> tuple[Tensor, Tensor]:

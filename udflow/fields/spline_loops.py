@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 from udflow.fields.lattice_loops import number_of
 
-Array = Any  # a NumPy array inside a compiled loop
 Triple = tuple[Any, Any, Any]  # single precision
 _CURVATURES = (np.float32(1.0), np.float32(-2.0), np.float32(1.0))
 

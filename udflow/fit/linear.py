@@ -114,7 +114,7 @@ class _NormalSystem:
 
     def product(self, coefficients: Tensor) -> Tensor:
         """(A^T A + smoothness D^T D) c."""
-        by = self.product_by_tensors if coefficients.is_cuda else self.product_by_loop
+        by = self.product_by_loop if coefficients.device.type == "cpu" else self.product_by_tensors
         return by(coefficients)
 
     def product_by_loop(self, coefficients: Tensor) -> Tensor:

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
-Array = Any  # a NumPy array inside a compiled loop
 _B = (np.float32(0.125), np.float32(0.75), np.float32(0.125))
 _D = (np.float32(-0.5), np.float32(0.0), np.float32(0.5))
 

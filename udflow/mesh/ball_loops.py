@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
 MOST = 96  # vertices of a way
-
-Array = Any  # a NumPy array inside a compiled loop
 
 
 @compiled

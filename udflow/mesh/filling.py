@@ -6,17 +6,13 @@ vertices (Barequet and Sharir 1995).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 
 LONGEST = 256  # corners of a loop; the work grows with their cube
 _CHORD = 0.02  # weight of squared chords against area: of flat fillings the one without slivers
-
-Array = Any  # a NumPy array inside a compiled loop
 
 
 def least_filling(

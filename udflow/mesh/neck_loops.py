@@ -12,12 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from udflow.compiled import compiled
+from udflow.compiled import Array, compiled
 from udflow.mesh.ball_loops import apart, area_of, euler, faces_inside, grown, joined
 
 NONE, NECK, HANDLE = 0, 1, 2  # what a ball holds
-
-Array = Any  # a NumPy array inside a compiled loop
 
 
 @compiled
