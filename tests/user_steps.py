@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 SMALL = {
     "extract": {"resolution": 40},
-    "densify": {"target_points": 3000, "points_per_round": 500},
+    "densify": {"target_points": 2000, "points_per_round": 500},
 }
 RADIUS = 2.5
 KEY = "a-key-for-the-tests-of-the-page"

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -69,6 +68,9 @@ def _around(points: NDArray[np.float64], box: tuple[Corner, Corner]) -> NDArray[
 
 def _cut(mesh: Mesh, box: tuple[Corner, Corner]) -> Mesh:
     """What of the mesh lies inside the box, cut along its sides."""
+    # Takes half a second to import, which workers need not pay for every other job.
+    import trimesh
+
     vertices, faces = mesh.vertices, mesh.faces
     for corner, sign in ((box[0], 1.0), (box[1], -1.0)):
         for axis in range(3):

@@ -77,8 +77,9 @@ const walks = {
     return { before_data: first, with_all_parts: transfer.page, half };
   },
 
-  /** The page is loaded again in the middle of a job, and in a second tab. */
-  async reload() {
+  /** In the middle of a job the page is loaded again, and in a second tab; then the API goes away
+   * and comes back. What was fitted until then is kept. */
+  async again() {
     const { browser, page, mistakes } = await open();
     await begin(page, LONG);
     await page.getByText(/densified in round [2-9]/).waitFor(PATIENCE);
@@ -89,6 +90,15 @@ const walks = {
     await second.getByText(/densified in round/).waitFor(PATIENCE);
     const [here, there] = [await round(page), await round(second)];
     assert.ok(Math.abs(here - there) <= 2, `round ${here} here, ${there} in the other tab`);
+
+    process.kill(settings.api, "SIGKILL");
+    await page.getByText("Reconnecting").waitFor(PATIENCE);
+    await page.getByText("Reconnecting").waitFor({ state: "detached", ...PATIENCE });
+    await page.waitForFunction(
+      (seen) => Number(/round (\d+) of/.exec(document.body.textContent)?.[1]) > seen,
+      here,
+      PATIENCE,
+    );
     await stop(page, "Stop, keep what we have");
     for (const tab of [page, second]) {
       await tab.getByText("Stopped early, what was fitted is kept").waitFor(PATIENCE);
@@ -99,20 +109,10 @@ const walks = {
     return { round: here };
   },
 
-  /** The API goes away in the middle of a job and comes back. */
-  async restart() {
+  /** A job that is stopped and discarded can be tried again. */
+  async stopped() {
     const { browser, page, mistakes } = await open();
     await begin(page, LONG);
-    await page.getByText(/densified in round [2-9]/).waitFor(PATIENCE);
-    const before = await round(page);
-    process.kill(settings.api, "SIGKILL");
-    await page.getByText("Reconnecting").waitFor(PATIENCE);
-    await page.getByText("Reconnecting").waitFor({ state: "detached", ...PATIENCE });
-    await page.waitForFunction(
-      (seen) => Number(/round (\d+) of/.exec(document.body.textContent)?.[1]) > seen,
-      before,
-      PATIENCE,
-    );
     await stop(page, "Stop and discard");
     await page.getByText("The job was stopped").waitFor(PATIENCE);
     await checkAccess(page, "a stopped job");
@@ -123,7 +123,7 @@ const walks = {
     await page.getByText("The job was stopped").waitFor(PATIENCE);
     assert.deepEqual(mistakes, []);
     await browser.close();
-    return { round: before };
+    return {};
   },
 
   /** What goes wrong is said in words, with a next step. */
