@@ -32,9 +32,10 @@ def load_loops() -> None:
     products(0, 0, numbers, columns, runs, 1.0, 1.0, np.zeros((1, 0), single))
     edges, faces = np.zeros((1, 3), single), np.zeros((1, 3, 4), single)
     links = np.zeros((0, 3), whole)
-    parity_loops.believe(0, 0, edges, faces, links, edges)
-    parity_loops.count_odd(0, 0, edges, links, np.zeros(0, np.uint8))
-    parity_loops.tell(0, 0, edges, links, 1.0, 0.0, faces)
+    odd = np.zeros(0, np.uint8)
+    parity_loops.believe(0, 0, np.zeros(0, whole), edges, faces, links, edges)
+    parity_loops.tell(0, 0, np.zeros(0, whole), edges, links, 1.0, 0.0, faces, odd)
+    parity_loops.around(odd, 1, links, links)
     some, ways, lengths = np.zeros(0, whole), np.zeros((0, 1), whole), np.zeros(0)
     surface = lengths, np.zeros((0, 3)), links, some, some, links
     neck_loops.search(0, 0, some, *surface, some, ways, some)

@@ -30,7 +30,7 @@ WIDENING = 3.0  # spacings from a neck within which both its ends widen into she
 SHEET = 0.5  # part of the surface of a flat sheet around a neck that must be found there
 BEND = 0.5  # part of the angle between the faces around the widest neck that makes a place curved
 ROUNDS = 2
-_AGAIN = 2.0  # longest ways from a cut within which is looked again
+_AGAIN = 1.0  # longest ways from a cut within which is looked again
 _STRIDE = 0.5  # of half of the longest way: about that near to it lies an examined vertex
 
 

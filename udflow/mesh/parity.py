@@ -152,11 +152,10 @@ def _decode(patch: Patch, evidence: Tensor, messages: Tensor) -> Tensor:
     state = passing(patch, evidence, messages)
     best, fewest, since = evidence[:-1] < 0, 3 * patch.count + 1, 0
     for _ in range(ITERATIONS):
-        odd = state.believe()
+        odd = state.round()
         since += 1
         if odd < fewest:
             best, fewest, since = state.belief[:-1] < 0, odd, 0
         if odd == 0 or since > PATIENCE:
             break
-        state.tell()
     return best

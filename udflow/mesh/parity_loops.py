@@ -11,19 +11,21 @@ Single = np.float32
 
 @compiled
 def believe(
-    start: int, stop: int, own: Array, messages: Array, behind: Array, belief: Array
+    start: int, stop: int, active: Array, own: Array, messages: Array, behind: Array, belief: Array
 ) -> None:
-    """Fills in what the edges of vertices start..stop believe: own evidence and four faces' word.
+    """Fills in what the edges of vertices active[start:stop] believe: own evidence and four
+    faces' word.
 
     Args:
-        start, stop: rows.
+        start, stop: rows of `active`.
+        active: (a,) vertices.
         own: (m + 1, 3) evidence; row m stands for absent vertices.
         messages: (m + 1, 3, 4) from the faces in the planes xy, xz, yz of each vertex to their
             edges; row m stays zero.
         behind: (m, 3) previous vertices along the axes, m for none.
         belief: (m + 1, 3), filled in.
     """
-    for i in range(start, stop):
+    for i in active[start:stop]:
         x, y, z = behind[i]
         here = messages[i]
         belief[i, 0] = own[i, 0] + (here[0, 0] + messages[y, 0, 3]) + (
@@ -38,57 +40,47 @@ def believe(
 
 
 @compiled
-def count_odd(start: int, stop: int, belief: Array, ahead: Array, odd: Array) -> None:
-    """Fills in, per vertex of start..stop, how many of its whole faces are odd.
-
-    Args:
-        start, stop: rows.
-        belief: (m + 1, 3).
-        ahead: (m, 3) following vertices along the axes, m for none.
-        odd: (m,) uint8, filled in.
-    """
-    absent = len(ahead)
-    for i in range(start, stop):
-        total = 0
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            a, b = ahead[i, p], ahead[i, q]
-            if a < absent and b < absent:
-                low = (belief[i, p] < 0) ^ (belief[i, q] < 0)
-                total += low ^ (belief[a, q] < 0) ^ (belief[b, p] < 0)
-        odd[i] = total
-
-
-@compiled
 def tell(
-    start: int, stop: int, belief: Array, ahead: Array, limit: float, damping: float,
-    messages: Array,
+    start: int, stop: int, active: Array, belief: Array, ahead: Array, limit: float,
+    damping: float, messages: Array, odd: Array,
 ) -> None:  # fmt: skip
-    """Renews, in place, what the whole faces of vertices start..stop tell their edges.
+    """Renews, in place, what the whole faces of vertices active[start:stop] tell their edges.
 
     A face tells each edge the parity of the other three, as sure as the least sure of them, at
     most `limit`; `damping` is the share that stays of what it said before.
+
+    Args:
+        start, stop, active: see `believe`.
+        belief: (m + 1, 3).
+        ahead: (m, 3) following vertices along the axes, m for none.
+        limit, damping: see above.
+        messages: see `believe`.
+        odd: (m,) uint8, how many whole faces of each vertex are odd by the beliefs; filled in.
     """
     absent = len(ahead)
     renewed, kept, most = np.float32(1.0 - damping), np.float32(damping), np.float32(limit)
-    for i in range(start, stop):
+    for i in active[start:stop]:
         x, y, z = ahead[i]
+        found = 0
         if x < absent and y < absent:
-            _renew(messages[i, 0], belief[i, 0], belief[i, 1], belief[x, 1], belief[y, 0],
-                   most, kept, renewed)  # fmt: skip
+            found += _renew(messages[i, 0], belief[i, 0], belief[i, 1], belief[x, 1],
+                            belief[y, 0], most, kept, renewed)  # fmt: skip
         if x < absent and z < absent:
-            _renew(messages[i, 1], belief[i, 0], belief[i, 2], belief[x, 2], belief[z, 0],
-                   most, kept, renewed)  # fmt: skip
+            found += _renew(messages[i, 1], belief[i, 0], belief[i, 2], belief[x, 2],
+                            belief[z, 0], most, kept, renewed)  # fmt: skip
         if y < absent and z < absent:
-            _renew(messages[i, 2], belief[i, 1], belief[i, 2], belief[y, 2], belief[z, 1],
-                   most, kept, renewed)  # fmt: skip
+            found += _renew(messages[i, 2], belief[i, 1], belief[i, 2], belief[y, 2],
+                            belief[z, 1], most, kept, renewed)  # fmt: skip
+        odd[i] = found
 
 
 @compiled
 def _renew(
     said: Array, a: Single, b: Single, c: Single, d: Single,
     most: Single, kept: Single, renewed: Single,
-) -> None:  # fmt: skip
-    """Renews the four messages of a face whose edges believe a, b, c and d."""
+) -> int:  # fmt: skip
+    """Renews the four messages of a face whose edges believe a, b, c and d; 1 if it is odd."""
+    is_odd = (a < 0) ^ (b < 0) ^ (c < 0) ^ (d < 0)
     a, b, c, d = a - said[0], b - said[1], c - said[2], d - said[3]
     odd = (a < 0) ^ (b < 0) ^ (c < 0) ^ (d < 0)
     sure_a, sure_b, sure_c, sure_d = abs(a), abs(b), abs(c), abs(d)
@@ -98,3 +90,31 @@ def _renew(
     said[1] = kept * said[1] + renewed * (-to_b if odd ^ (b < 0) else to_b)
     said[2] = kept * said[2] + renewed * (-to_c if odd ^ (c < 0) else to_c)
     said[3] = kept * said[3] + renewed * (-to_d if odd ^ (d < 0) else to_d)
+    return 1 if is_odd else 0
+
+
+@compiled
+def around(odd: Array, steps: int, ahead: Array, behind: Array) -> Array:
+    """(a,) the vertices within some steps along edges of those with odd faces, sorted.
+
+    Args:
+        odd: (m,) uint8, how many odd faces each vertex has.
+        steps: how many.
+        ahead, behind: (m, 3) following and previous vertices, m for none.
+    """
+    count = len(odd)
+    reached = np.zeros(count, dtype=np.bool_)
+    front = np.flatnonzero(odd)
+    reached[front] = True
+    for _ in range(steps):
+        found = np.empty(min(6 * len(front), count), dtype=np.int64)
+        size = 0
+        for i in front:
+            for axis in range(3):
+                for j in (ahead[i, axis], behind[i, axis]):
+                    if j < count and not reached[j]:
+                        reached[j] = True
+                        found[size] = j
+                        size += 1
+        front = found[:size]
+    return np.flatnonzero(reached)
