@@ -7,7 +7,6 @@ spanning tree of the faces that does not cross it, and the edges that lie in nei
 
 from __future__ import annotations
 
-import heapq
 from typing import Any
 
 import numpy as np
@@ -116,10 +115,7 @@ def _bottleneck(
     of, at_border = np.arange(total), np.zeros(total, dtype=np.bool_)
     at_border[len(inside) :] = True
     kind, u, w = NONE, -1, -1
-    longest_first = [(-length[k], k) for k in range(len(length))]
-    heapq.heapify(longest_first)
-    while len(longest_first) > 0:
-        _, k = heapq.heappop(longest_first)
+    for k in np.argsort(-length, kind="mergesort"):  # the longest first
         one, two = _root(of, sides[k, 0]), _root(of, sides[k, 1])
         if one == two or (at_border[one] and at_border[two]):
             kind, u, w = HANDLE if one == two else NECK, sides[k, 2], sides[k, 3]
