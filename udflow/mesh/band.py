@@ -88,7 +88,7 @@ def widened(field: ProjectiveField, band: Band, around: Tensor, reach: int, widt
         band: the band to take the patch from.
         around: (k,) sorted keys of vertices.
         reach: how many vertices away from them to add more.
-        width: in voxels.
+        width: in voxels, less than one more than that of the band.
     """
     grown = [around]
     for _ in range(reach + 3):  # added vertices change normals, and those change flags beyond
@@ -96,6 +96,9 @@ def widened(field: ProjectiveField, band: Band, around: Tensor, reach: int, widt
     place = find(band.keys, grown[-1])
     old = place[place >= 0]
     missing = grown[reach][find(band.keys, grown[reach]) < 0]
+    # Only these can lie near enough: a neighbour of theirs is a voxel nearer, and in the band. One
+    # more is for creases, where feet leap from neighbour to neighbour.
+    missing = missing[find(dilated(dilated(band.keys[old])), missing) >= 0]
     near, feet = _near(field, band.lattice, missing, 0, width)
     keys, order = torch.sort(torch.cat([band.keys[old], missing[near]]))
     feet = torch.cat([band.feet[old], feet[near]])[order]
