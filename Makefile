@@ -32,7 +32,7 @@ check: setup
 
 test: page
 	$(BIN)/python web/build.py test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 15
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15
 
 # Every method on every shape in every condition, what docs/results has not yet: hours. With Open3D
 # where BENCH_PEERS names a Python that has it.

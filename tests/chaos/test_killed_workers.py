@@ -198,7 +198,7 @@ def test_a_full_disk_at_the_export_is_said_and_harms_nothing(bench: Bench) -> No
 def test_a_worker_that_is_shut_down_saves_and_hands_over(ground: Any) -> None:
     shop = ground.shop
     bench = Bench(shop, ground.faults)
-    config = TRAINED | {"training": {**TRAINED["training"], "iterations": 1000}}
+    config = TRAINED | {"training": {**TRAINED["training"], "iterations": 600}}
     first = shop.start_worker(UDFLOW_CHECKPOINT_S="1000")
     job_id = bench.submit(config)
     shop.until(lambda: any(e.data.get("step", 0) >= 100 for e in shop.told(job_id)), 60.0)

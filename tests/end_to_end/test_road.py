@@ -94,18 +94,25 @@ def test_from_upload_to_distances(url: str, client: httpx.Client, tmp_path: Path
     assert np.load(io.BytesIO(own.content)).max() < 0.002 * 2 * RADIUS
 
 
-def test_map_coordinates_come_back(client: httpx.Client, tmp_path: Path) -> None:
-    job_id = submit(client, sphere(1500) + UTM)
-    job = wait(client, job_id)
+@pytest.fixture(scope="module")
+def far_job(url: str) -> str:
+    """The id of a succeeded job on a sphere in map coordinates."""
+    with httpx.Client(base_url=url, timeout=70) as client:
+        job_id = submit(client, sphere(1500) + UTM)
+        job = wait(client, job_id)
     assert job["state"] == "succeeded", job["error"]
-    ply = vertices(client.get(f"/v1/jobs/{job_id}/mesh").content, tmp_path, "ply").points
+    return job_id
+
+
+def test_map_coordinates_come_back(far_job: str, client: httpx.Client, tmp_path: Path) -> None:
+    ply = vertices(client.get(f"/v1/jobs/{far_job}/mesh").content, tmp_path, "ply").points
     np.testing.assert_allclose(np.linalg.norm(ply - UTM, axis=1), RADIUS, atol=0.02 * RADIUS)
-    own = client.post(f"/v1/jobs/{job_id}/udf", params={"closest": True}, content=npy(ply))
+    own = client.post(f"/v1/jobs/{far_job}/udf", params={"closest": True}, content=npy(ply))
     answer = np.load(io.BytesIO(own.content))
     assert answer["valid"].all()
     assert answer["distance"].max() < 0.002 * 2 * RADIUS
     np.testing.assert_allclose(answer["closest"], ply, atol=0.002 * 2 * RADIUS)
-    glb = client.get(f"/v1/jobs/{job_id}/mesh?format=glb").content
+    glb = client.get(f"/v1/jobs/{far_job}/mesh?format=glb").content
     described = json.loads(glb[20 : 20 + struct.unpack_from("<I", glb, 12)[0]])
     shift = described["asset"]["extras"]["udflow"]["shift"]
     local = trimesh.load(io.BytesIO(glb), file_type="glb", force="mesh").vertices
@@ -116,11 +123,9 @@ def test_map_coordinates_come_back(client: httpx.Client, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("suffix", ["ply", "obj"])
 def test_the_frame_of_a_mesh_can_be_chosen(
-    suffix: str, client: httpx.Client, tmp_path: Path
+    suffix: str, far_job: str, client: httpx.Client, tmp_path: Path
 ) -> None:
-    job_id = submit(client, sphere(1400) + UTM)
-    assert wait(client, job_id)["state"] == "succeeded"
-    url = f"/v1/jobs/{job_id}/mesh?format="
+    url = f"/v1/jobs/{far_job}/mesh?format="
     plain, world = client.get(url + suffix), client.get(f"{url}{suffix}&frame=world")
     assert plain.content == world.content
     local = client.get(f"{url}{suffix}&frame=local")

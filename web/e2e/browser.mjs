@@ -16,7 +16,7 @@ export async function open({ path = "", ...options } = {}) {
     executablePath: settings.chromium,
     args: ["--no-sandbox", "--ignore-gpu-blocklist", ...SOFTWARE_GL],
   });
-  const size = { width: 1360, height: 860 };
+  const size = { width: 1120, height: 700 }; // software GL draws every pixel on the processor
   const context = await browser.newContext({ viewport: size, acceptDownloads: true, ...options });
   context.setDefaultTimeout(90_000); // machines that run tests are busy
   const page = await context.newPage();

@@ -31,7 +31,7 @@ from udflow.neural_config import OPTIMISERS, OUTPUTS, NetworkConfig, TrainingCon
 
 NETWORK = Network(NetworkConfig(layers=4, width=24, skips=(2,), film=(0, 2)))
 SCHEDULE = TimeSchedule(5)
-LONG = 800  # iterations
+LONG = 600  # iterations
 TRAINING = TrainingConfig(
     iterations=300,
     batch=300,
