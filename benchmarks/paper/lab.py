@@ -69,9 +69,8 @@ def run(name: str, title: str, note: str, variants: Sequence[Variant]) -> None:
     """Reconstruct every shape in every variant, print the table, save it where asked."""
     options = _options(title)
     files = shapes(options.data, options.shapes)
-    runs = len(files) * len(variants)
     origin = provenance(
-        budget="full" if options.full else f"{options.budget:g} min of training for {runs} runs",
+        budget="full" if options.full else f"{options.budget:g} min of training a run",
         preset=options.preset, resolution=options.resolution, seed=options.seed,
         samples=options.samples, threads=torch.get_num_threads(),
     )  # fmt: skip
@@ -80,7 +79,7 @@ def run(name: str, title: str, note: str, variants: Sequence[Variant]) -> None:
     for shape, file in files:
         truth = load(file)
         for variant in variants:
-            row, mesh = measured(shape, variant.truth(truth), variant, options, runs)
+            row, mesh = measured(shape, variant.truth(truth), variant, options)
             print(" | ".join(_cells(row)), flush=True)
             rows.append(row)
             panels.append(mesh if mesh is None else upright(shape, mesh))
@@ -90,14 +89,14 @@ def run(name: str, title: str, note: str, variants: Sequence[Variant]) -> None:
 
 
 def measured(
-    shape: str, truth: Mesh, variant: Variant, options: argparse.Namespace, runs: int
+    shape: str, truth: Mesh, variant: Variant, options: argparse.Namespace
 ) -> tuple[dict[str, Any], Mesh | None]:
     """One reconstruction and its figures."""
     config = configured(variant, options)
     make = variant.scan or (lambda mesh, seed: scan_of(mesh, variant.points, variant.noise, seed))
     scan = make(truth, options.seed)
     if not options.full:
-        config = within(config, scan, 60 * options.budget / runs)
+        config = within(config, scan, 60 * options.budget)
     row: dict[str, Any] = {"shape": shape, "variant": variant.name, "paper": variant.paper}
     row["config"] = to_dict(config)
     start = time.process_time()
@@ -120,7 +119,10 @@ def configured(variant: Variant, options: argparse.Namespace) -> Config:
 
 
 def within(config: Config, scan: NDArray[np.float64], seconds: float) -> Config:
-    """The configuration with as many iterations as fit into some seconds of training."""
+    """The configuration with as many iterations as fit into some seconds of training.
+
+    A training that guessed sides all the while ends before it has a surface: short ones do without.
+    """
     if config.field == "spline":
         return config
     iterations = max(int(seconds / seconds_per_iteration(config, scan)), 100)
@@ -128,6 +130,7 @@ def within(config: Config, scan: NDArray[np.float64], seconds: float) -> Config:
         config.training,
         iterations=iterations,
         warmup=min(config.training.warmup, iterations // 10),
+        sided=config.training.sided if iterations >= 2 * config.training.sided else 0,
         queries=min(config.training.queries, 200_000),
     )
     return dataclasses.replace(config, training=training)
@@ -248,7 +251,7 @@ def _legend(rows: list[dict[str, Any]]) -> str:
 def _options(title: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=title)
     parser.add_argument("--budget", type=float, default=1.0, metavar="MINUTES",
-                        help="of training, shared by all runs of the table")  # fmt: skip
+                        help="of training, processor time of a thread, for each run")  # fmt: skip
     parser.add_argument("--full", action="store_true", help="the paper's preset, 256³, no budget")
     parser.add_argument("--preset", default="neural")
     parser.add_argument("--shapes", nargs="+", default=["spot"], metavar="NAME")

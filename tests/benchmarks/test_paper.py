@@ -99,6 +99,8 @@ def test_a_budget_buys_iterations() -> None:
     assert few.iterations == 100
     assert more.iterations > 200
     assert more.warmup <= more.iterations // 10
+    assert few.sided == 0  # too short for a start that takes 300
+    assert more.sided == (300 if more.iterations >= 600 else 0)
 
 
 def test_densification_is_counted_by_what_changes() -> None:
