@@ -79,7 +79,7 @@ def test_a_table_and_a_picture_come_out(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(common, "ROOT", tmp_path)
     solved = {"field": "spline", "densify": {"target_points": 0}}
     variant = lab.Variant("solved", solved, points=800)
-    row, mesh = lab.measured("made/torus", MADE["torus"](), variant, OPTIONS, runs=1)
+    row, mesh = lab.measured("made/torus", MADE["torus"](), variant, OPTIONS)
     origin = {**common.provenance(), "settings": {"budget": "none"}}
     lab._publish("t", "Title", "Note.", [row], origin)
     lab.picture_of("t", [mesh, None], 2)
