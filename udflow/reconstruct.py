@@ -214,19 +214,25 @@ class _Run:
 
     def _extracted(self, fit: Fit) -> Mesh:
         field = self.unit_field(fit)
-        mesh = extract(field, self.samples, self.config.extract)
+        # Added points lie where the quadrics put them: where there is data, only data can say.
+        known = self.samples if self._stands_alone() else self.measured
+        mesh = extract(field, known, self.config.extract)
         voxel = 1.0 / self.config.extract.resolution
         return settled(mesh, field, voxel, self.samples.device)
 
     def unit_field(self, fit: Fit) -> ProjectiveField:
-        """What is extracted. A field trained to the samples alone, as the paper's, stands alone."""
-        if self.config.field != "spline" and self.config.training.targets == "points":
+        """What is extracted."""
+        if self._stands_alone():
             return fit.field
         return SurfaceField(fit.field, self._measured_surface().surface)
 
+    def _stands_alone(self) -> bool:
+        """Whether the field is trained to the samples alone, as the paper's, without quadrics."""
+        return self.config.field != "spline" and self.config.training.targets == "points"
+
     def _surface(self) -> SampledSurface:
-        """What the trajectories are drawn to: the measured points and, with quadrics fitted to
-        the same, the points of the rounds so far."""
+        """What the trajectories are drawn to, at the measured points and those of the rounds so
+        far."""
         measured = self._measured_surface()
         added = self.samples[len(self.measured) :]
         return measured.densified(added) if len(added) else measured

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from udflow.cloud.creases import Candidates, feet_at_creases
-from udflow.cloud.fits import fit_width
 from udflow.cloud.neighbours import Neighbours, NeighbourTree
 from udflow.cloud.quadric_loops import project_rows
-from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, put
+from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics
 from udflow.compiled import over_rows
 
 _BLEND = 6  # quadrics that share in a foot
@@ -74,24 +73,6 @@ class QuadricSurface:
             foot[creased] = feet_at_creases(self.quadrics, candidates[creased])
         nearest = candidates.origins[:, 0]
         return nearest + _limited(foot - nearest, _REACH * candidates.spacing)
-
-
-def quadrics_between(
-    points: Tensor, samples: Tensor, tree: NeighbourTree, like: LocalQuadrics
-) -> LocalQuadrics:
-    """Quadrics at points between the samples, as wide as given ones.
-
-    Args:
-        points: (n, 3) origins of the new quadrics, unit frame.
-        samples: (m, 3) the data that they are fitted to.
-        tree: the tree of the samples.
-        like: n quadrics that were fitted nearby.
-    """
-    result = LocalQuadrics(*(torch.empty_like(getattr(like, f.name)) for f in fields(like)))
-    for k in like.count.unique().tolist():
-        which = (like.count == k).nonzero().squeeze(1)
-        put(result, which, fit_width(samples, tree, points[which], int(k)).quadrics)
-    return replace(result, error=like.error, spacing=like.spacing)
 
 
 def _limited(offset: Tensor, limit: Tensor) -> Tensor:

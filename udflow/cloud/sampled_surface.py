@@ -9,8 +9,7 @@ from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.pieces import on_one_piece
-from udflow.cloud.quadric_surface import QuadricSurface, quadrics_between
-from udflow.cloud.quadrics import joined
+from udflow.cloud.quadric_surface import QuadricSurface
 from udflow.cloud.sites import Sites
 from udflow.cloud.widths import fit_quadrics
 
@@ -22,12 +21,17 @@ class SampledSurface:
     Attributes:
         samples: (m, 3) the data.
         tree: their tree.
-        surface: the quadrics; their origins are the sites.
+        surface: the quadrics.
+        sites: (n, 3) places near which the surface is asked for: the origins of the quadrics, and
+            points that densification added.
+        spacings: (n,) distance between samples on the surface around each site.
     """
 
     samples: Tensor
     tree: NeighbourTree
     surface: QuadricSurface
+    sites: Tensor
+    spacings: Tensor
 
     @classmethod
     def of(cls, samples: Tensor, detail: float = 0.0) -> SampledSurface:
@@ -44,30 +48,24 @@ class SampledSurface:
         quadrics = on_one_piece(fit_quadrics(sites), sites)
         if detail > 0:
             quadrics = replace(quadrics, spacing=quadrics.spacing.clamp_min(detail))
-        return cls(samples, tree, QuadricSurface.of(quadrics))
+        surface = QuadricSurface.of(quadrics)
+        return cls(samples, tree, surface, quadrics.origin, quadrics.spacing)
 
     def densified(self, points: Tensor) -> SampledSurface:
-        """The surface with quadrics at (k, 3) further points near it, fitted to the same data."""
-        quadrics = self.surface.quadrics
-        nearest = quadrics[self.surface.tree.nearest(points, 1).index[:, 0]]
-        between = quadrics_between(points, self.samples, self.tree, nearest)
-        every = joined([quadrics, between])
-        every = on_one_piece(every, Sites(every.origin, self.samples, self.tree))
-        return replace(self, surface=QuadricSurface.of(every))
+        """The same surface, asked for at (k, 3) further points near it as well.
+
+        They lie on quadrics of the data and know nothing new, so they get none of their own.
+        """
+        nearest = self.surface.tree.nearest(points, 1).index[:, 0]
+        return replace(
+            self,
+            sites=torch.cat([self.sites, points]),
+            spacings=torch.cat([self.spacings, self.surface.quadrics.spacing[nearest]]),
+        )
 
     def project(self, points: Tensor) -> Tensor:
         """Feet of (n, 3) points on the quadrics."""
         return self.surface.project(points)
-
-    @property
-    def sites(self) -> Tensor:
-        """(n, 3) origins of the quadrics."""
-        return self.surface.quadrics.origin
-
-    @property
-    def spacings(self) -> Tensor:
-        """(n,) distance between samples on the surface around each site, unit frame."""
-        return self.surface.quadrics.spacing
 
     @property
     def spacing(self) -> float:
