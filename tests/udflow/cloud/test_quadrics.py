@@ -11,7 +11,6 @@ from shapes import PlanePatch, Sphere, Torus
 from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
-from udflow.cloud.quadric_surface import quadrics_between
 from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, joined, principal_frame
 from udflow.cloud.sites import Sites
 from udflow.cloud.widths import NEIGHBOUR_COUNTS, fit_quadrics
@@ -138,22 +137,6 @@ def test_feet_are_on_the_quadric_and_finite_even_beyond_its_focus() -> None:
     c = quadrics.coefficients[0]
     height = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
     torch.testing.assert_close(w, height, rtol=0, atol=1e-4)
-
-
-def test_between_the_samples_quadrics_are_like_their_neighbours() -> None:
-    samples = noisy(Sphere().sample(2000), 0.002)
-    tree = NeighbourTree(samples)
-    quadrics = fit_quadrics(Sites(samples, samples, tree))
-    points = Sphere().sample(300, seed=9)
-    like = quadrics[tree.nearest(points, 1).index[:, 0]]
-    before = joined([like])
-    between = quadrics_between(points, samples, tree, like)
-    assert torch.equal(between.origin, points)
-    for name in ("count", "error", "spacing"):
-        assert torch.equal(getattr(between, name), getattr(before, name)), name
-    distance = Sphere().distance(feet_on_quadrics(between, points))
-    at_samples = Sphere().distance(feet_on_quadrics(quadrics, samples))
-    assert float(distance.mean()) < 1.2 * float(at_samples.mean())
 
 
 def test_only_the_sites_get_quadrics_and_all_samples_are_data() -> None:
