@@ -147,7 +147,9 @@ def test_a_fit_goes_on_where_it_was_and_does_not_begin_anew(bench: Bench) -> Non
     record = shop.reaches(job_id, JobState.SUCCEEDED, within_s=60.0)
     bench.check(record, TRAINED)
     fits = [e.data for e in shop.told(job_id) if e.type in ("stage", "progress", "densify")]
-    again = next(i for i, e in enumerate(fits) if i and e["stage"] == "reading")
+    # an attempt that reads for long says so twice: what follows the last time is the second one's
+    again = max(i for i, event in enumerate(fits) if event["stage"] == "reading")
+    assert any(event["stage"] == "fitting" for event in fits[:again])
     assert all(event["stage"] != "fitting" for event in fits[again:])  # the first fit was done
     assert f"{job_id} attempt 2 goes on from attempt 1" in shop.log()
 
@@ -205,10 +207,8 @@ def test_a_worker_that_is_shut_down_saves_and_hands_over(ground: Any) -> None:
     job_id = bench.submit(config)
     shop.until(lambda: any(e.data.get("step", 0) >= 100 for e in shop.told(job_id)), 60.0)
     horse = horse_of(shop.get(job_id))
-    began = time.monotonic()
     first.terminate()
-    assert first.wait(10.0) == 0
-    assert time.monotonic() - began < 10.0
+    assert first.wait(10.0) == 0  # four seconds to save, and a machine that does other things too
     assert not is_alive(horse)
     waiting = shop.get(job_id)
     assert (waiting.state, waiting.attempt, waiting.crashes) == (JobState.QUEUED, 2, 0)

@@ -27,6 +27,16 @@ def ball() -> Reconstruction:
     return reconstruct(PointCloud(points, colors=colors), PLAIN)
 
 
+def test_added_points_are_no_data_here_either() -> None:
+    cloud = PointCloud(Sphere().sample(800).double().numpy())
+    densified = replace(PLAIN, densify=DensifyConfig(target_points=1600))
+    first = reconstruct(cloud, densified)
+    assert len(first.points.points) > 1500
+    again = reextract(first.field, first.points, densified.extract, measured=800)
+    assert len(again.vertices) == len(first.mesh.vertices)
+    np.testing.assert_allclose(again.vertices, first.mesh.vertices, atol=1e-5)
+
+
 def radii(vertices: np.ndarray) -> np.ndarray:
     return np.linalg.norm(vertices - PLACE, axis=1) / SIZE
 
