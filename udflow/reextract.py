@@ -30,21 +30,24 @@ def reextract(
     config: ExtractConfig,
     box: tuple[Corner, Corner] | None = None,
     device: str = "cpu",
+    measured: int | None = None,
 ) -> Mesh:
     """The surface of a stored field as triangles, in world units and frame.
 
     Args:
         field: as `load_field` gives it, on `device`.
-        points: the densified cloud of the same reconstruction; says where there is data, and
-            gives the colours.
+        points: the densified cloud of the same reconstruction; gives the colours.
         config: resolution, in cells along the largest extent of what is extracted, and extractor.
         box: two opposite corners in world coordinates; the mesh is cut at its sides.
         device: where the field is.
+        measured: how many of the points, the first ones, were measured and not added: they say
+            where there is data (`points.unique` of the report). All if None.
 
     Raises:
         EmptySurface: there is no surface, or none inside the box.
     """
-    kept = points.points if box is None else _around(points.points, box)
+    data = points.points[:measured]
+    kept = data if box is None else _around(data, box)
     samples = torch.from_numpy(field.normalisation.to_unit(kept)).to(device)
     with torch.inference_mode():
         mesh = extract(field.unit, samples, config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -46,7 +47,8 @@ def extract_again(
     count = len(cloud.points)
     step(Progress("extracting", 0, 1, 0.05, 0.0, count))
     config = from_dict(job.config).extract
-    mesh = reextract(load_field(field_path, device), cloud, config, job.box, device)
+    measured = _measured(source, store)
+    mesh = reextract(load_field(field_path, device), cloud, config, job.box, device, measured)
     seconds = time.monotonic() - began
     step(Progress("exporting", 0, 1, 1.0, seconds, count))
     yield from meshes_of(mesh)
@@ -61,6 +63,14 @@ def extract_again(
             "seconds": {"extracting": seconds},
         }
     )
+
+
+def _measured(source: JobRecord | None, store: FileStore) -> int | None:
+    """How many of the points were measured; None from a job that was to leave no report."""
+    if source is None or "report.json" not in source.outputs:
+        return None
+    report = json.loads(_file(source, "report.json", store).read_text())
+    return int(report["points"]["unique"])
 
 
 def _file(source: JobRecord | None, name: str, store: FileStore) -> Path:
