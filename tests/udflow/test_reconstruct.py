@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from shapes import Hemisphere, MoebiusStrip, Shape, Sphere, Torus
+from shapes import Cube, Hemisphere, MoebiusStrip, Shape, Sphere, Torus
 
 import udflow
 from udflow.cloud.point_cloud import PointCloud
@@ -121,6 +121,14 @@ def test_the_points_are_the_measured_ones_and_more(sphere: Reconstruction) -> No
     first = sphere.points.points[:700]
     order, expected = np.lexsort(first.round(4).T), np.lexsort(measured.round(4).T)
     np.testing.assert_allclose(first[order], measured[expected], rtol=0, atol=1e-5)
+
+
+def test_added_points_are_no_data_for_the_mesh() -> None:
+    # where they are dense on one side of an edge only, a mesh that takes them for data ends there
+    config = Config(extract=ExtractConfig(resolution=64), densify=DensifyConfig(target_points=6000))
+    result = reconstruct(cloud_of(Cube(), 800), config)
+    assert len(result.points.points) == 6000
+    assert boundary_edges(result) == 0
 
 
 def test_progress_never_falls_and_ends_at_one(
