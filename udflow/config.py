@@ -60,7 +60,8 @@ class DensifyConfig(Strict):
     """Iterative densification, equation (9).
 
     target_points: stop at this many points; clouds that have as many are left alone.
-    points_per_round: points added before the field is fitted again (paper: 2 000).
+    points_per_round: points added at a time (paper: 2 000); a trained field is then
+        trained on, a solved one stays.
     threshold: epsilon, keep a projected point only where the field is below it; null keeps all.
     guard: "support" also wants measured points around it, so that nothing grows over a rim; "none"
         is the paper's way.

@@ -21,6 +21,7 @@ from udflow.fields.interface import ProjectiveField
 from udflow.fields.unsigned import SurfaceField, UnsignedDistanceField
 from udflow.fit.checkpoint import Keeper, origin_of
 from udflow.fit.kinds import Fit, fitting_of
+from udflow.fit.spline import SplineFit
 from udflow.glance import Glance
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
@@ -188,6 +189,8 @@ class _Run:
 
     def _newly_fitted(self, stage: Stage, earlier: Fit | None) -> Generator[Progress, None, Fit]:
         random = self.generator.get_state()
+        if isinstance(earlier, SplineFit):
+            return (yield from self._still_fitted(stage, earlier))
         surface, numbers = self._surface(), (self.round, self.rounds)
         fitting = fitting_of(self.samples, surface, self.config, *numbers, earlier, self.generator)
         place = (tuple(self.counts), self.samples, random)
@@ -212,6 +215,16 @@ class _Run:
             if early is not None:
                 return early
 
+    def _still_fitted(self, stage: Stage, fit: SplineFit) -> Generator[Progress, None, Fit]:
+        """A solved field after a round of densification: it knows the quadrics, and points that
+        were added lie on these."""
+        if self.keeper is not None:
+            place = (tuple(self.counts), self.samples, self.generator.get_state())
+            self.keeper.whole(None, fit, *place)
+        yield self._progress(stage, 1, 1)
+        self.partial = self.enough()
+        return fit
+
     def _extracted(self, fit: Fit) -> Mesh:
         field = self.unit_field(fit)
         # Added points lie where the quadrics put them: where there is data, only data can say.
@@ -224,20 +237,14 @@ class _Run:
         """What is extracted."""
         if self._stands_alone():
             return fit.field
-        return SurfaceField(fit.field, self._measured_surface().surface)
+        return SurfaceField(fit.field, self._surface().surface)
 
     def _stands_alone(self) -> bool:
         """Whether the field is trained to the samples alone, as the paper's, without quadrics."""
         return self.config.field != "spline" and self.config.training.targets == "points"
 
     def _surface(self) -> SampledSurface:
-        """What the trajectories are drawn to, at the measured points and those of the rounds so
-        far."""
-        measured = self._measured_surface()
-        added = self.samples[len(self.measured) :]
-        return measured.densified(added) if len(added) else measured
-
-    def _measured_surface(self) -> SampledSurface:
+        """What the trajectories are drawn to."""
         if self._quadrics is None:
             detail = _SITE_PER_VOXEL / self.config.extract.resolution
             self._quadrics = SampledSurface.of(self.measured, detail)
@@ -250,15 +257,13 @@ class _Run:
         self._clock("exporting")
         return Reconstruction(
             mesh=replace(mesh, vertices=vertices, colors=colors),
-            field=UnsignedDistanceField(
-                fit.field, self._measured_surface().surface, self.normalisation
-            ),
+            field=UnsignedDistanceField(fit.field, self._surface().surface, self.normalisation),
             points=PointCloud(points, colors=transfer_colors(points, self.cloud)),
             report=self._report(mesh),
         )
 
     def _report(self, mesh: Mesh) -> dict[str, Any]:
-        surface = self._measured_surface()
+        surface = self._surface()
         return {
             **about_run(self.config, self.cloud, self.normalisation, surface),
             "device": str(self.samples.device),

@@ -16,22 +16,17 @@ from udflow.cloud.widths import fit_quadrics
 
 @dataclass(frozen=True)
 class SampledSurface:
-    """Samples, and quadrics fitted to them at some sites, unit frame.
+    """Samples, and quadrics fitted to them, unit frame.
 
     Attributes:
         samples: (m, 3) the data.
         tree: their tree.
-        surface: the quadrics.
-        sites: (n, 3) places near which the surface is asked for: the origins of the quadrics, and
-            points that densification added.
-        spacings: (n,) distance between samples on the surface around each site.
+        surface: the quadrics, each at one of the samples.
     """
 
     samples: Tensor
     tree: NeighbourTree
     surface: QuadricSurface
-    sites: Tensor
-    spacings: Tensor
 
     @classmethod
     def of(cls, samples: Tensor, detail: float = 0.0) -> SampledSurface:
@@ -48,20 +43,7 @@ class SampledSurface:
         quadrics = on_one_piece(fit_quadrics(sites), sites)
         if detail > 0:
             quadrics = replace(quadrics, spacing=quadrics.spacing.clamp_min(detail))
-        surface = QuadricSurface.of(quadrics)
-        return cls(samples, tree, surface, quadrics.origin, quadrics.spacing)
-
-    def densified(self, points: Tensor) -> SampledSurface:
-        """The same surface, asked for at (k, 3) further points near it as well.
-
-        They lie on quadrics of the data and know nothing new, so they get none of their own.
-        """
-        nearest = self.surface.tree.nearest(points, 1).index[:, 0]
-        return replace(
-            self,
-            sites=torch.cat([self.sites, points]),
-            spacings=torch.cat([self.spacings, self.surface.quadrics.spacing[nearest]]),
-        )
+        return cls(samples, tree, QuadricSurface.of(quadrics))
 
     def project(self, points: Tensor) -> Tensor:
         """Feet of (n, 3) points on the quadrics."""
@@ -69,8 +51,8 @@ class SampledSurface:
 
     @property
     def spacing(self) -> float:
-        """Median of the spacings."""
-        return float(self.spacings.median())
+        """Median distance between samples on the surface."""
+        return float(self.surface.quadrics.spacing.median())
 
     @property
     def error(self) -> float:

@@ -75,7 +75,7 @@ def fitting_of(
 
     Args:
         samples: P^n, (n, 3), unit frame.
-        surface: quadrics of the measured points at these samples.
+        surface: quadrics of the measured points.
         config: kind and parameters of the field.
         number: n, the rounds of densification so far.
         rounds: planned in all.

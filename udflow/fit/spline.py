@@ -96,7 +96,8 @@ def trajectories(
 
 def _candidates(surface: SampledSurface, schedule: TimeSchedule, k: int, finest: int) -> SplineGrid:
     """Cells around the samples; samples too far apart for these cells wait for a coarser level."""
-    sites = surface.sites
+    quadrics = surface.surface.quadrics
+    sites = quadrics.origin
     whole_box = k == schedule.steps
     growth = schedule.time(k) / schedule.time(1)
     spacing = 1.0 / (_COARSEST if whole_box else max(finest / growth, _COARSEST))
@@ -110,7 +111,7 @@ def _candidates(surface: SampledSurface, schedule: TimeSchedule, k: int, finest:
         mask[1:-1, 1:-1, 1:-1] = True
         cells = SparseLattice.from_mask(mask)
     else:
-        dense = sites[surface.spacings <= max(_SPARSE_CELLS * spacing, _SPARSE * surface.spacing)]
+        dense = sites[quadrics.spacing <= max(_SPARSE_CELLS * spacing, _SPARSE * surface.spacing)]
         nearest = ((dense - origin) / spacing).round().long()
         cells = SparseLattice.from_mask(occupied_mask(nearest, shape)).dilated(_DILATION)
     return SplineGrid(origin, spacing, cells, cells)

@@ -15,7 +15,9 @@ from udflow.mesh.topology import face_normals, parts, side_ends
 from udflow.mesh.trim import SMALLEST_HOLE
 
 LARGEST = 60.0  # squared spacings that may be closed where the data goes on
-DATA_GOES_ON = -0.4  # mean overshoot around such a hole, in spacings
+DATA_GOES_ON = -0.4  # mean overshoot around such a hole, in spacings; around true ones -0.1 and more
+BY_CHANCE = 10.0  # squared spacings: no wider are gaps among samples at random, ln n of n samples
+GAP_BY_CHANCE = -0.2  # mean overshoot around one that may be such a gap
 COVERED = 0.2  # part of the samples due on a patch that show it to be surface,
 CHANCE = 2  # and samples of the rim that may seem to lie on it
 FLAT = 0.0  # cosine between neighbouring faces of a patch below which another one is tried
@@ -129,7 +131,8 @@ def _failures(
     due = area / spacing**2
     count = _samples_on(draft, loops, patches, samples)
     goes_on = (beyond < DATA_GOES_ON) | (count > CHANCE + COVERED * due)
-    false = (due <= SMALLEST_HOLE) | ((due <= LARGEST) & goes_on)
+    gap = (due <= SMALLEST_HOLE) | ((due <= BY_CHANCE) & (beyond < GAP_BY_CHANCE))
+    false = gap | ((due <= LARGEST) & goes_on)
     return [bool(wrong) for wrong in false]
 
 

@@ -71,25 +71,12 @@ def test_spacing_and_error_are_lengths() -> None:
     assert SampledSurface.of(shaken).error == pytest.approx(0.004, rel=0.3)
 
 
-def test_densified_surfaces_keep_to_the_measured_data() -> None:
-    generator = torch.Generator().manual_seed(5)
-    samples = Sphere().sample(1500) + 0.003 * torch.randn(1500, 3, generator=generator)
-    surface = SampledSurface.of(samples)
-    points = beside(Sphere(), 0.003, 800)
-    denser = surface.densified(points)
-    assert torch.equal(denser.sites[:1500], surface.sites)
-    assert torch.equal(denser.sites[1500:], points)
-    assert torch.equal(denser.samples, samples)
-    queries = beside(Sphere(), 0.02)
-    assert torch.equal(denser.project(queries), surface.project(queries))
-
-
 def test_detail_that_is_not_asked_for_costs_no_quadrics() -> None:
     samples = Sphere().sample(6000)
     surface = SampledSurface.of(samples, detail=0.03)
-    assert len(surface.sites) < 3500
+    assert len(surface.surface.quadrics.origin) < 3500
     assert len(surface.samples) == 6000
-    assert float(surface.spacings.min()) > 0.0299
+    assert float(surface.surface.quadrics.spacing.min()) > 0.0299
     feet = surface.project(beside(Sphere(), 0.04))
     assert float(Sphere().distance(feet).mean()) < 1e-4
 
