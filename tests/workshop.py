@@ -30,7 +30,7 @@ QUICK: dict[str, Any] = {
     "densify": {"target_points": 0},
     "extract": {"resolution": 24},
 }
-LONG: dict[str, Any] = {"densify": {"target_points": 100_000, "points_per_round": 500}}
+LONG: dict[str, Any] = {"densify": {"target_points": 100_000, "points_per_round": 100}}
 
 
 class Workshop:

@@ -154,7 +154,7 @@ def test_a_worker_cut_off_from_redis_ends_itself(ground: Any) -> None:
     shop, line = ground.shop, Line(ground.server._socket.as_posix())
     far = replace(shop.settings, redis_url=f"redis://127.0.0.1:{line.port}/0")
     shop.start_worker(REDIS_URL=far.url)
-    job_id = shop.submit({"densify": {"target_points": 100_000, "points_per_round": 500}})
+    job_id = shop.submit({"densify": {"target_points": 100_000, "points_per_round": 100}})
     shop.is_fitting(job_id)
     line.mode = "silent"
     shop.until(lambda: bool(shop.records.expired_leases()), 20.0)

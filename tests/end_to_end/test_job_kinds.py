@@ -18,7 +18,7 @@ def mesh_of(client: httpx.Client, job_id: str) -> trimesh.Trimesh:
 
 
 def test_a_canceled_job_can_keep_its_mesh(client: httpx.Client) -> None:
-    densify = {"target_points": 100_000, "points_per_round": 500}
+    densify = {"target_points": 100_000, "points_per_round": 100}
     job_id = submit(client, sphere(1000), densify=densify)
     while client.get(f"/v1/jobs/{job_id}").json()["round"] < 1:
         time.sleep(0.05)
