@@ -37,6 +37,7 @@ PROBLEMS: dict[str, tuple[int, str]] = {
     "job_not_finished": (409, "The job has not finished"),
     "job_finished": (409, "The job has already ended"),
     "job_failed": (409, "The job ended without a result"),
+    "outdated_field": (409, "Another release stored the field"),
     "scan_in_use": (409, "Jobs are using the scan"),
     "upload_conflict": (409, "The upload has another offset"),
     "gone": (410, "It was deleted or has expired"),

@@ -53,9 +53,15 @@ class EmptySurface(UdflowError):
 
 
 class BadField(UdflowError, ValueError):
-    """A stored field is damaged, incomplete or of an unknown version."""
+    """A stored field is damaged or incomplete."""
 
     code = "bad_field"
+
+
+class OutdatedField(BadField):
+    """A stored field is of a version that this release does not read."""
+
+    code = "outdated_field"
 
 
 class Canceled(UdflowError):

@@ -26,7 +26,7 @@ from service.routes.jobs import find_snapshot
 from service.services import Needs
 from service.udf_input import Question, Wanted, Wire, read_question
 from service.udf_output import MEDIA_TYPES
-from udflow.errors import BadField
+from udflow.errors import BadField, OutdatedField
 
 if TYPE_CHECKING:
     from udflow.fields.unsigned import FieldAnswer, UnsignedDistanceField
@@ -87,10 +87,12 @@ async def load_stored(stored: ResultFile, fields: FieldCache) -> UnsignedDistanc
     """The field in a result file.
 
     Raises:
-        Problem: 500, it is damaged.
+        Problem: 409, another release stored it; 500, it is damaged.
     """
     try:
         return await fields.get(stored.path)
+    except OutdatedField as error:
+        raise Problem("outdated_field", f"{error}: make a new job of its scan.") from error
     except BadField as error:
         raise Problem("artifact_damaged", str(error)) from error
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
+import torch
 from api_process import Api, ApiProcess, ball
+from safetensors.torch import save as to_bytes
 
 from jobs.ids import new_id
 from jobs.records import JobRecords
@@ -85,6 +88,20 @@ def test_a_damaged_field(
     for path, body in (("udf", {"points": [[0, 0, 0]]}), ("udf/slice", {})):
         answer = client.post(f"/v1/jobs/{started}/{path}", json=body)
         assert code(answer) == (500, "artifact_damaged")
+
+
+def test_a_field_of_another_release(
+    started: str, client: httpx.Client, records: JobRecords, store: FileStore
+) -> None:
+    header = json.dumps({"format": "udflow-spline-field", "version": 1})
+    content = to_bytes({"nothing": torch.zeros(1)}, metadata={"udflow": header})
+    name = "field.safetensors"
+    field = store.put_artifact(started, 1, name, lambda path: path.write_bytes(content))
+    records.finish(started, 1, JobState.SUCCEEDED, outputs={name: field})
+    for path, body in (("udf", {"points": [[0, 0, 0]]}), ("udf/slice", {})):
+        answer = client.post(f"/v1/jobs/{started}/{path}", json=body)
+        assert code(answer) == (409, "outdated_field")
+        assert "version 1" in answer.json()["detail"]
 
 
 def test_a_file_whose_bytes_have_changed_is_not_served(

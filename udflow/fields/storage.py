@@ -16,7 +16,7 @@ from torch import Tensor
 from udflow.cloud.normalisation import Normalisation
 from udflow.cloud.quadric_surface import QuadricSurface
 from udflow.cloud.quadrics import LocalQuadrics
-from udflow.errors import BadField
+from udflow.errors import BadField, OutdatedField
 from udflow.fields.cap_udf import CapUdfField
 from udflow.fields.interface import FittedField
 from udflow.fields.lattice import SparseLattice
@@ -87,7 +87,8 @@ def load_field(path: Path, device: str = "cpu") -> UnsignedDistanceField:
     """Reads a field written by `save_field`.
 
     Raises:
-        BadField: not such a file, damaged, or of a version this release does not know.
+        BadField: not such a file, or damaged.
+        OutdatedField: of a version this release does not read.
         FileNotFoundError: no such file.
     """
     if not path.is_file():
@@ -141,7 +142,7 @@ def _check_header(header: Any) -> None:
     if not isinstance(header, dict) or header.get("format") not in formats:
         raise BadField("the file holds no udflow field; fit one with udflow reconstruct --field")
     if header.get("version") != VERSION:
-        raise BadField(
+        raise OutdatedField(
             f"the field has version {header.get('version')}, this release reads {VERSION}; "
             "fit it again"
         )
