@@ -123,6 +123,13 @@ def test_the_points_are_the_measured_ones_and_more(sphere: Reconstruction) -> No
     np.testing.assert_allclose(first[order], measured[expected], rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_edges_between_few_samples_do_not_gape(seed: int) -> None:
+    config = replace(PLAIN, extract=ExtractConfig(resolution=64))
+    cube = PointCloud(Cube().sample(800, seed=seed).double().numpy())
+    assert boundary_edges(reconstruct(cube, config)) == 0
+
+
 def test_added_points_are_no_data_for_the_mesh() -> None:
     # where they are dense on one side of an edge only, a mesh that takes them for data ends there
     config = Config(extract=ExtractConfig(resolution=64), densify=DensifyConfig(target_points=6000))
