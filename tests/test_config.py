@@ -89,6 +89,7 @@ def test_figures_taken_from_the_paper() -> None:
         ({"densify": {"threshold": True}}, "densify.threshold must be a number"),
         ({"extract": {"extractor": "magic"}}, 'choose "edges" or "cap"'),
         ({"field": "grid"}, 'unknown field "grid"; choose one of: spline, mlp, cap-udf'),
+        ({"outliers": "some"}, 'outliers is "some"; choose one of: drop, keep'),
         ({"densify": {"guard": "all"}}, 'choose "support" or "none"'),
         ({"network": {"skips": 4}}, "network.skips must be a list of whole numbers, not 4"),
         ({"network": {"film": [0, 1.5]}}, "network.film must be a list of whole numbers"),
@@ -123,6 +124,7 @@ def test_every_number_has_its_limits_tested() -> None:
     words = {
         (Config, "preset"),
         (Config, "field"),
+        (Config, "outliers"),
         (DensifyConfig, "guard"),
         (ExtractConfig, "extractor"),
     }

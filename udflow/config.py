@@ -122,10 +122,12 @@ class Config(Strict):
 
     field: "spline" solves linear systems; "mlp" trains the paper's network; "cap-udf" trains a
         distance network in the manner of CAP-UDF, to compare with.
+    outliers: "drop" leaves out points that are scattered in space; "keep" takes all.
     """
 
     preset: str = "fast"
     field: FieldKind = "spline"
+    outliers: str = "drop"
     flow: FlowConfig = dataclasses.field(default_factory=FlowConfig)
     spline: SplineConfig = dataclasses.field(default_factory=SplineConfig)
     network: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
@@ -143,14 +145,20 @@ class Config(Strict):
             self.field in FIELDS,
             f'unknown field "{self.field}"; choose one of: {", ".join(FIELDS)}',
         )
+        require(
+            self.outliers in OUTLIERS,
+            f'outliers is "{self.outliers}"; choose one of: {", ".join(OUTLIERS)}',
+        )
         require(0 <= self.seed < 2**63, f"seed is {self.seed}; choose 0 to 2^63 - 1")
 
 
 FIELDS: tuple[FieldKind, ...] = ("spline", "mlp", "cap-udf")
+OUTLIERS = ("drop", "keep")
 PRESET_NAMES = ("fast", "neural", "paper")
 _NEURAL = {"field": "mlp"}
 _PAPER = {
     "field": "mlp",
+    "outliers": "keep",
     "network": NetworkConfig(
         layers=12,
         width=256,

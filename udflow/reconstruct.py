@@ -14,6 +14,7 @@ import torch
 from udflow import densify
 from udflow.cloud.inspection import require_reconstructable
 from udflow.cloud.normalisation import Normalisation
+from udflow.cloud.outliers import without_scattered
 from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.sampled_surface import SampledSurface
 from udflow.config import Config
@@ -128,13 +129,18 @@ class _Run:
         self.partial = False
         self.normalisation = Normalisation.of(cloud.points)
         unit = np.unique(self.normalisation.to_unit(cloud.points), axis=0)
+        self.distinct = len(unit)
         self.measured = torch.from_numpy(unit).to(device)
+        if config.outliers == "drop":
+            self.measured = self.measured[without_scattered(self.measured)]
         self._quadrics: SampledSurface | None = None
         self.samples = self.measured
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.rounds = densify.rounds_needed(len(unit), config.densify)
+        self.rounds = densify.rounds_needed(len(self.measured), config.densify)
         self.round = 0
-        self.births = [len(unit)]  # points that came in each round, the measured ones first
+        self.births = [
+            len(self.measured)
+        ]  # points that came in each round, the measured ones first
         self.counts: list[dict[str, int]] = []  # counters of each round
         self.keeper: Keeper | None = None
         self.latest: Fit | None = None
@@ -265,11 +271,13 @@ class _Run:
     def _report(self, mesh: Mesh) -> dict[str, Any]:
         surface = self._surface()
         return {
-            **about_run(self.config, self.cloud, self.normalisation, surface),
+            **about_run(self.config, self.normalisation, surface),
+            "warnings": [*self.cloud.warnings, *self._scattered()],
             "device": str(self.samples.device),
             "points": {
                 "input": len(self.cloud.points),
-                "unique": len(self.measured),
+                "unique": self.distinct,
+                "measured": len(self.measured),
                 "densified": len(self.samples),
                 "rounds": self.round,
             },
@@ -279,6 +287,13 @@ class _Run:
             "mesh": {"vertices": len(mesh.vertices), "faces": len(mesh.faces)},
             "seconds": {**self.seconds, "total": time.monotonic() - self.started},
         }
+
+    def _scattered(self) -> list[str]:
+        """What is said of points that were left out."""
+        count = self.distinct - len(self.measured)
+        return (
+            [f"left out {count} points that are scattered in space, on no surface"] if count else []
+        )
 
     def _glance(self) -> Glance:
         field = None if self.latest is None else self.unit_field(self.latest)

@@ -41,7 +41,7 @@ def reextract(
         box: two opposite corners in world coordinates; the mesh is cut at its sides.
         device: where the field is.
         measured: how many of the points, the first ones, were measured and not added: they say
-            where there is data (`points.unique` of the report). All if None.
+            where there is data (`points.measured` of the report). All if None.
 
     Raises:
         EmptySurface: there is no surface, or none inside the box.

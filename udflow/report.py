@@ -8,7 +8,6 @@ import torch
 
 import udflow
 from udflow.cloud.normalisation import Normalisation
-from udflow.cloud.point_cloud import PointCloud
 from udflow.cloud.sampled_surface import SampledSurface
 from udflow.config import Config, to_dict
 from udflow.fields.network import Network
@@ -16,9 +15,7 @@ from udflow.fit.neural import network_config
 from udflow.fit.spline import finest_resolution
 
 
-def about_run(
-    config: Config, cloud: PointCloud, frame: Normalisation, surface: SampledSurface
-) -> dict[str, Any]:
+def about_run(config: Config, frame: Normalisation, surface: SampledSurface) -> dict[str, Any]:
     """Versions, parameters and what is known of the cloud; JSON values only, lengths in the units
     of the cloud."""
     return {
@@ -28,7 +25,6 @@ def about_run(
         "frame": {"centre": list(frame.centre), "scale": frame.scale},
         "spacing": surface.spacing * frame.scale,
         "sample_error": surface.error * frame.scale,
-        "warnings": list(cloud.warnings),
         **_about_field(config, surface.spacing),
     }
 

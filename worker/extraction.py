@@ -69,8 +69,8 @@ def _measured(source: JobRecord | None, store: FileStore) -> int | None:
     """How many of the points were measured; None from a job that was to leave no report."""
     if source is None or "report.json" not in source.outputs:
         return None
-    report = json.loads(_file(source, "report.json", store).read_text())
-    return int(report["points"]["unique"])
+    points = json.loads(_file(source, "report.json", store).read_text())["points"]
+    return int(points.get("measured", points["unique"]))
 
 
 def _file(source: JobRecord | None, name: str, store: FileStore) -> Path:

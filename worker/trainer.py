@@ -175,7 +175,7 @@ def _reconstruct(job: JobRecord, store: FileStore, watch: Watch, checkpoint_s: f
 
     result = _gone_on(begin, checkpoints)
     outputs = _store(outputs_of(result), job, store, watch)
-    return Outcome(JobState.SUCCEEDED, outputs=outputs, warnings=cloud.warnings)
+    return Outcome(JobState.SUCCEEDED, outputs=outputs, warnings=tuple(result.report["warnings"]))
 
 
 def _extract(job: JobRecord, records: JobRecords, store: FileStore, watch: Watch) -> Outcome:

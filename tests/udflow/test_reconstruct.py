@@ -123,6 +123,32 @@ def test_the_points_are_the_measured_ones_and_more(sphere: Reconstruction) -> No
     np.testing.assert_allclose(first[order], measured[expected], rtol=0, atol=1e-5)
 
 
+def astray(share: float, count: int = 3000) -> PointCloud:
+    """A sphere, and points anywhere around it."""
+    points = Sphere().sample(count).double().numpy()
+    others = np.random.default_rng(4).uniform(-0.6, 0.6, (round(share * count), 3))
+    return PointCloud(np.concatenate([points, others]))
+
+
+def test_points_on_no_surface_are_left_out_and_said() -> None:
+    result = reconstruct(astray(0.05), PLAIN)
+    assert np.abs(np.linalg.norm(result.mesh.vertices, axis=1) - 0.5).max() < 0.04
+    assert boundary_edges(result) == 0
+    points = result.report["points"]
+    assert 3000 <= points["measured"] < 3100
+    assert len(result.points.points) == points["measured"]
+    count = points["unique"] - points["measured"]
+    assert result.report["warnings"] == [
+        f"left out {count} points that are scattered in space, on no surface"
+    ]
+
+
+def test_all_points_are_taken_where_that_is_asked_for() -> None:
+    result = reconstruct(astray(0.05), replace(PLAIN, outliers="keep"))
+    assert result.report["points"]["measured"] == 3150
+    assert result.report["warnings"] == []
+
+
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_edges_between_few_samples_do_not_gape(seed: int) -> None:
     config = replace(PLAIN, extract=ExtractConfig(resolution=64))
@@ -171,7 +197,13 @@ def test_the_report_is_json_and_says_what_was_done(sphere: Reconstruction) -> No
     assert report["config"] == to_dict(DENSER)
     assert report["version"] == udflow.__version__
     assert report["device"] == "cpu"
-    assert report["points"] == {"input": 700, "unique": 700, "densified": 1400, "rounds": 2}
+    assert report["points"] == {
+        "input": 700,
+        "unique": 700,
+        "measured": 700,
+        "densified": 1400,
+        "rounds": 2,
+    }
     assert report["frame"]["scale"] == pytest.approx(40, rel=0.01)
     assert report["frame"]["centre"] == pytest.approx(UTM.tolist(), abs=0.2)
     spacing = 40 * (np.pi / 700) ** 0.5
@@ -267,6 +299,7 @@ def test_a_line_has_no_surface() -> None:
 def test_specks_far_smaller_than_their_distance_keep_distances_right() -> None:
     """Two specks ten thousand times their size apart, smaller than a voxel."""
     speck = 1e-4 * np.random.default_rng(0).normal(size=(300, 3))
-    result = reconstruct(PointCloud(np.concatenate([speck, speck + 1.0])), PLAIN)
+    keep = replace(PLAIN, outliers="keep")  # balls of points, no surfaces
+    result = reconstruct(PointCloud(np.concatenate([speck, speck + 1.0])), keep)
     found = result.field.query(np.array([[0.5, 0.5, 0.5], [0, 0, 0.1]])).distance
     np.testing.assert_allclose(found, [np.sqrt(0.75), 0.1], atol=5e-4)

@@ -96,14 +96,9 @@ def _empty(origin: Tensor, near: Neighbours, k: int, rows: Tensor) -> LocalQuadr
         coefficients=torch.empty(count, 6),
         radius=torch.empty(count),
         error=torch.empty(count),
-        spacing=_spacing(near, k, rows),
+        spacing=near.spacing[rows],
         count=torch.full((count,), k),
     )
-
-
-def _spacing(near: Neighbours, k: int, rows: Tensor) -> Tensor:
-    # one sample per a^2 puts the sixth neighbour at about 1.3 a
-    return near.distance[rows, min(6, k - 1)] / 1.3
 
 
 def by_tensors(samples: Tensor, origin: Tensor, near: Neighbours, k: int, rows: Tensor) -> Fits:
@@ -147,7 +142,7 @@ def fit_weighted(
     error = (coefficients[:, 0].abs() / (1 - influence)) * radius[:, 0]
     # the height at the site is a weighted sum of the samples' heights
     heights = weights * torch.einsum("ni,nki->nk", inverse[:, 0], basis)
-    spacing = _spacing(near, near.index.shape[1], torch.arange(len(origin), device=origin.device))
+    spacing = near.spacing
     count = share.sum(dim=1).long()
     quadrics = LocalQuadrics(origin, frame, coefficients, radius[:, 0], error, spacing, count)
     return quadrics, heights.square().sum(dim=1)

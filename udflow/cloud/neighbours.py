@@ -25,6 +25,12 @@ class Neighbours:
     distance: Tensor
     index: Tensor
 
+    @property
+    def spacing(self) -> Tensor:
+        """(n,) distance between samples on the surface around each query, if that is a sample."""
+        # one sample per a^2 puts the sixth neighbour at about 1.3 a
+        return self.distance[:, min(6, self.distance.shape[1] - 1)] / 1.3
+
 
 class NeighbourTree:
     """A KD-tree over (m, 3) finite samples, in single precision."""

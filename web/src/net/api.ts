@@ -81,7 +81,7 @@ export interface SampleInfo {
 }
 
 export interface Report {
-  points: { input: number; unique: number; densified: number; rounds: number };
+  points: { input: number; unique: number; measured?: number; densified: number; rounds: number };
   mesh: { vertices: number; faces: number };
   spacing: number;
   sample_error: number;

@@ -105,6 +105,11 @@ export function compare(): void {
   if (result.value && !compared.value) worker?.postMessage({ ask: "compare" });
 }
 
+/** How many points of the densified cloud, the first ones, were measured. */
+function measured(found: Report | null): number {
+  return found?.points?.measured ?? found?.points?.unique ?? 0;
+}
+
 /** Fetches the mesh and the points and reads them. */
 export async function loadResult(id: string): Promise<void> {
   tooLarge.value = false;
@@ -122,7 +127,7 @@ export async function loadResult(id: string): Promise<void> {
       fetchBytes(`v1/jobs/${id}/points?${HERE}`, count),
     ]);
     if (job.value?.id !== id) return;
-    read(mesh, cloud, report.value?.points?.unique ?? 0);
+    read(mesh, cloud, measured(report.value));
   } catch (error) {
     loading.value = null;
     failure.value = (error as Error).message;

@@ -1,0 +1,47 @@
+"""Samples that lie on no surface: stray returns, dust, foliage.
+
+They are far from their neighbours, and no surface passes through these: it misses them by a good
+part of the distances between them. Either alone proves nothing. Far walls are sparse and smooth,
+noisy and intricate places are rough and dense; both stay.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from udflow.cloud.fits import fit_width
+from udflow.cloud.neighbours import NeighbourTree
+
+SPARSE = 3.0  # median spacings: samples nearer to their neighbours stay
+ROUGH = 0.3  # spacings: by how much samples may miss the surface through their neighbours
+_NEIGHBOURS = 10  # that a surface is laid through
+_WITNESSES = 9  # sparse samples, itself among them, that decide together
+_PASSES = 3  # without the first ones, those hidden among them show
+
+
+def without_scattered(samples: Tensor) -> Tensor:
+    """(k,) the rows of (m, 3) distinct samples, in order, that are not scattered in space."""
+    kept = torch.arange(len(samples), device=samples.device)
+    for _ in range(_PASSES):
+        scattered = _scattered(samples[kept])
+        if len(scattered) == 0 or len(kept) - len(scattered) < _NEIGHBOURS:
+            break
+        stays = torch.ones(len(kept), dtype=torch.bool, device=kept.device)
+        stays[scattered] = False
+        kept = kept[stays]
+    return kept
+
+
+def _scattered(samples: Tensor) -> Tensor:
+    """(k,) rows of samples that are sparse, among sparse ones through which no surface passes."""
+    tree = NeighbourTree(samples)
+    spacing = tree.nearest(samples, _NEIGHBOURS).spacing
+    sparse = (spacing > SPARSE * spacing.median()).nonzero().squeeze(1)
+    if len(sparse) == 0:
+        return sparse
+    places = samples[sparse]
+    missed = fit_width(samples, tree, places, _NEIGHBOURS).quadrics.error / spacing[sparse]
+    witnesses = NeighbourTree(places).nearest(places, _WITNESSES).index
+    rough = missed.clamp_max(1.0)[witnesses].square().mean(dim=1).sqrt()
+    return sparse[rough > ROUGH]
