@@ -41,7 +41,7 @@ class UnknownSample(UdflowError, LookupError):
 
 
 class Diverged(UdflowError, ArithmeticError):
-    """A fit produced values that are not finite."""
+    """A fit produced values that are not finite, or a network that says 0 everywhere."""
 
     code = "diverged"
 

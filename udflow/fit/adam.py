@@ -95,7 +95,9 @@ def orthogonalised(matrices: Tensor) -> Tensor:
     """(m, h, h) matrices with all singular values moved towards 1 (to 0.7 .. 1.2), by a
     Newton-Schulz iteration of fifth order."""
     a, b, c = _NEWTON_SCHULZ
-    x = matrices / (matrices.flatten(1).norm(dim=1)[:, None, None] + 1e-30)
+    # the squares of momenta that fade away are denormal: the largest entry becomes 1 first
+    x = matrices / matrices.flatten(1).abs().amax(dim=1).clamp_min(1e-30)[:, None, None]
+    x = x / x.flatten(1).norm(dim=1).clamp_min(1e-30)[:, None, None]
     for _ in range(_NEWTON_SCHULZ_STEPS):
         square = x @ x.mT
         x = torch.baddbmm(x, torch.baddbmm(square, square, square, beta=b, alpha=c), x, beta=a)

@@ -114,7 +114,8 @@ class Trainer:
         """Trains to the end; yields after every `REPORT_EVERY` iterations and after the last.
 
         Raises:
-            Diverged: the loss is not finite, even at an eighth of the learning rate.
+            Diverged: the loss is not finite or the network silent, even at an eighth of the
+                learning rate.
         """
         with matmul_precision(self._config.precision):
             while self.iteration < self.iterations:
@@ -124,11 +125,12 @@ class Trainer:
                 self.optimiser.settle()
                 loss = float(self._loss) / (self.iteration - since)
                 self._loss.zero_()
-                if math.isfinite(loss):
+                wrong = self._what_is_wrong(loss)
+                if wrong is None:
                     self._good = self._snapshot()
                     yield Report(self.iteration, loss)
                 else:
-                    self._go_back()
+                    self._go_back(wrong)
 
     def _advance(self) -> None:
         """One iteration, without waiting for the device."""
@@ -217,12 +219,20 @@ class Trainer:
             self._new_order()  # the generator as it was
         self._good = self._snapshot()
 
-    def _go_back(self) -> None:
-        """To the last report whose loss was finite, with half the learning rate."""
+    def _what_is_wrong(self, loss: float) -> str | None:
+        """Why training cannot go on from here."""
+        if not math.isfinite(loss):
+            return "the loss was not finite"
+        if not bool(self._gradient.any()):  # a rectified output below 0 everywhere
+            return "the network was silent, with nothing left to learn from,"
+        return None
+
+    def _go_back(self, wrong: str) -> None:
+        """To the last report at which all was well, with half the learning rate."""
         if self.rate_scale <= 0.5**_RETRIES:
             raise Diverged(
-                f"the loss was not finite after {self.iteration} iterations, even with the "
-                f"learning rate lowered {_RETRIES} times; choose a smaller training.learning_rate "
+                f"{wrong} after {self.iteration} iterations, even with the learning rate lowered "
+                f'{_RETRIES} times; choose network.output "abs", a smaller training.learning_rate '
                 "or training.precision float32"
             )
         rate_scale = self.rate_scale / 2

@@ -13,7 +13,7 @@ from torch import Tensor
 from udflow.errors import BadField, Diverged
 from udflow.fields import reference
 from udflow.fields.network import Network, started
-from udflow.fit.adam import Adam, optimiser_for
+from udflow.fit.adam import Adam, optimiser_for, orthogonalised
 from udflow.fit.objectives import Objective, pull_objective, trajectory_objective
 from udflow.fit.queries import Trajectories, draw_trajectories, query_spread
 from udflow.fit.training import (
@@ -167,8 +167,26 @@ def test_a_loss_that_is_no_number_is_taken_back() -> None:
 
 
 def test_it_gives_up_in_words() -> None:
-    with pytest.raises(Diverged, match=r"choose a smaller training\.learning_rate"):
+    with pytest.raises(Diverged, match=r"not finite.*a smaller training\.learning_rate"):
         trained(trainer(objective=_FailsOnce(when=150, times=10_000)))
+
+
+def test_a_silent_network_is_said() -> None:
+    rectified = Network(replace(NETWORK.config, output="relu"))
+    subject = trainer(network=rectified)
+    with torch.inference_mode():
+        rectified.views(subject.parameters)["output.bias"].fill_(-9.0)
+        subject._good = subject._snapshot()
+    with pytest.raises(Diverged, match=r'the network was silent.*choose network\.output "abs"'):
+        trained(subject)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-19, 1e-37, 0.0])
+def test_small_matrices_are_orthogonalised_as_large_ones(size: float) -> None:
+    matrix = torch.randn(1, 8, 8, generator=torch.Generator().manual_seed(2))
+    turned = orthogonalised(size * matrix)
+    expected = orthogonalised(matrix) if size > 0 else torch.zeros(1, 8, 8)
+    torch.testing.assert_close(turned, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_the_learning_rate_rises_and_falls() -> None:
