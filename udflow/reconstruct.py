@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from udflow import densify
 from udflow.cloud.inspection import require_reconstructable
@@ -117,6 +118,24 @@ def reconstruct_steps(
         return (yield from run.steps())
 
 
+def _measured(
+    points: NDArray[np.float64], config: Config
+) -> tuple[Normalisation, NDArray[np.float32], int]:
+    """The frame of (n, 3) world points, the distinct ones of them in it that are reconstructed,
+    and how many distinct ones there are."""
+    frame = Normalisation.of(points)
+    unit = np.unique(frame.to_unit(points), axis=0)
+    kept = np.arange(len(unit))
+    if config.outliers == "drop":
+        kept = without_scattered(torch.from_numpy(unit)).numpy()
+    if len(kept) == len(unit):
+        return frame, unit, len(unit)
+    # what was left out may have been far away: the rest gets a frame of its own
+    _, row = np.unique(frame.to_unit(points), axis=0, return_index=True)
+    frame = Normalisation.of(points[row[kept]])
+    return frame, np.unique(frame.to_unit(points[row[kept]]), axis=0), len(unit)
+
+
 class _Run:
     """One reconstruction under way: what the stages hand to each other, and the clock."""
 
@@ -127,20 +146,14 @@ class _Run:
         self.config = config
         self.enough = enough
         self.partial = False
-        self.normalisation = Normalisation.of(cloud.points)
-        unit = np.unique(self.normalisation.to_unit(cloud.points), axis=0)
-        self.distinct = len(unit)
+        self.normalisation, unit, self.distinct = _measured(cloud.points, config)
         self.measured = torch.from_numpy(unit).to(device)
-        if config.outliers == "drop":
-            self.measured = self.measured[without_scattered(self.measured)]
         self._quadrics: SampledSurface | None = None
         self.samples = self.measured
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.rounds = densify.rounds_needed(len(self.measured), config.densify)
+        self.rounds = densify.rounds_needed(len(unit), config.densify)
         self.round = 0
-        self.births = [
-            len(self.measured)
-        ]  # points that came in each round, the measured ones first
+        self.births = [len(unit)]  # points that came in each round, the measured ones first
         self.counts: list[dict[str, int]] = []  # counters of each round
         self.keeper: Keeper | None = None
         self.latest: Fit | None = None

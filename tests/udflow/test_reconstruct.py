@@ -143,6 +143,14 @@ def test_points_on_no_surface_are_left_out_and_said() -> None:
     ]
 
 
+def test_a_stray_point_far_away_costs_no_detail() -> None:
+    points = Sphere().sample(2000).double().numpy()
+    far = reconstruct(PointCloud(np.concatenate([points, [[60.0, -80.0, 5.0]]])), PLAIN)
+    alone = reconstruct(PointCloud(points), PLAIN)
+    np.testing.assert_array_equal(far.mesh.vertices, alone.mesh.vertices)
+    assert far.report["frame"] == alone.report["frame"]
+
+
 def test_all_points_are_taken_where_that_is_asked_for() -> None:
     result = reconstruct(astray(0.05), replace(PLAIN, outliers="keep"))
     assert result.report["points"]["measured"] == 3150

@@ -14,10 +14,12 @@ from udflow.cloud.fits import fit_width
 from udflow.cloud.neighbours import NeighbourTree
 
 SPARSE = 3.0  # median spacings: samples nearer to their neighbours stay
-ROUGH = 0.3  # spacings: by how much samples may miss the surface through their neighbours
+ROUGH = 0.3  # spacings: by how much samples together may miss surfaces through their neighbours
+FLAT = 0.05  # spacings: a sample that misses its own by less stays
+_ASIDE = 0.9  # of the distance to the farthest neighbour: all of them lie far off, on one side
 _NEIGHBOURS = 10  # that a surface is laid through
 _WITNESSES = 9  # sparse samples, itself among them, that decide together
-_PASSES = 3  # without the first ones, those hidden among them show
+_PASSES = 5  # without the first ones, those hidden among them show
 
 
 def without_scattered(samples: Tensor) -> Tensor:
@@ -41,7 +43,17 @@ def _scattered(samples: Tensor) -> Tensor:
     if len(sparse) == 0:
         return sparse
     places = samples[sparse]
-    missed = fit_width(samples, tree, places, _NEIGHBOURS).quadrics.error / spacing[sparse]
+    missed = _missed(samples, tree, places) / spacing[sparse]
     witnesses = NeighbourTree(places).nearest(places, _WITNESSES).index
     rough = missed.clamp_max(1.0)[witnesses].square().mean(dim=1).sqrt()
-    return sparse[rough > ROUGH]
+    return sparse[(rough > ROUGH) & (missed > FLAT)]
+
+
+def _missed(samples: Tensor, tree: NeighbourTree, places: Tensor) -> Tensor:
+    """(n,) how far samples at (n, 3) places lie from the surface through their neighbours;
+    infinite where these are a heap far away, which says nothing about a surface here."""
+    near = tree.nearest(places, _NEIGHBOURS)
+    offset = samples[near.index[:, 1:]] - places[:, None]
+    aside = offset.mean(dim=1).norm(dim=1) > _ASIDE * near.distance[:, -1]
+    error = fit_width(samples, tree, places, _NEIGHBOURS).quadrics.error
+    return torch.where(aside, torch.inf, error)
