@@ -20,7 +20,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from common import DATA, load, scan_of, shapes
+from common import DATA, load, shapes
+from conditions import even, with_outliers
 from made import MADE
 from measuring import figures
 from methods import Settings
@@ -36,7 +37,13 @@ GATES = Path(__file__).with_name("gates.toml")
 POINTS = 4_000
 SETTINGS = Settings(resolution=64, samples=10_000)
 CONFIG = {"extract": {"resolution": SETTINGS.resolution}, "densify": {"target_points": 0}}
-QUICK = {"torus": 0.0, "box": 0.0, "bowl": 0.003, "cad/wingnut": 0.0}  # noise of the scan
+QUICK = {  # ground truth and scan
+    "torus": ("torus", even(POINTS)),
+    "box": ("box", even(POINTS)),
+    "bowl": ("bowl", even(POINTS, 0.003)),
+    "cad/wingnut": ("cad/wingnut", even(POINTS)),
+    "torus, outliers": ("torus", with_outliers(0.05, POINTS)),
+}
 MARGIN = 0.15  # of a figure; a smaller loss is not clear
 SPREAD = 0.5  # of a count that is not zero: those of torn surfaces change with every rounding
 SLACK = {"error": 0.01, "excess": 0.0, "normals": 0.1}  # beside the margin, for figures near zero
@@ -44,13 +51,14 @@ SAMPLING = 1_000.0  # the excess is known to this over the number of samples, th
 COUNTS = {"loops": "boundary_loops", "parts": "components", "euler": "euler_number"}
 
 
-def quick(name: str, noise: float, data: Path) -> Row | None:
+def quick(name: str, data: Path) -> Row | None:
     """The figures of a small scan, or None where its ground truth is absent."""
-    truth = _truth(name, data)
+    shape, scan = QUICK[name]
+    truth = _truth(shape, data)
     if truth is None:
         return None
-    scan = scan_of(truth, POINTS, noise, SETTINGS.seed)
-    mesh = reconstruct(PointCloud(scan), from_dict(CONFIG)).mesh
+    cloud = PointCloud(scan(truth, SETTINGS.seed))
+    mesh = reconstruct(cloud, from_dict(CONFIG)).mesh
     return figures(mesh, truth, SETTINGS)
 
 
@@ -141,8 +149,8 @@ def _truth(name: str, data: Path) -> Mesh | None:
 
 
 def _quick_rows(data: Path) -> Iterator[tuple[str, Row]]:
-    for name, noise in QUICK.items():
-        row = quick(name, noise, data)
+    for name in QUICK:
+        row = quick(name, data)
         if row is None:
             print(f"{name}: skipped, no such shape under {data}")
         else:

@@ -22,7 +22,7 @@ SETTINGS = replace(gate.SETTINGS, samples=2_000)
 
 @pytest.mark.parametrize("name", gate.QUICK)
 def test_a_small_scan_keeps_its_limits(name: str) -> None:
-    row = gate.quick(name, gate.QUICK[name], DATA)
+    row = gate.quick(name, DATA)
     if row is None:
         pytest.skip(f"no {name} under {DATA}")
     assert gate.losses(row, LIMITS[name]) == []
