@@ -207,13 +207,17 @@ class _Run:
         return fit
 
     def _newly_fitted(self, stage: Stage, earlier: Fit | None) -> Generator[Progress, None, Fit]:
-        random = self.generator.get_state()
+        place = (tuple(self.counts), self.samples, self.generator.get_state())
+        keeper = self.keeper
         if isinstance(earlier, SplineFit):
-            return (yield from self._still_fitted(stage, earlier))
+            # it knows the quadrics, and the points that a round has added lie on these
+            if keeper is not None:
+                keeper.whole(None, earlier, *place)
+            yield self._progress(stage, 1, 1)
+            self.partial = self.enough()
+            return earlier
         surface, numbers = self._surface(), (self.round, self.rounds)
         fitting = fitting_of(self.samples, surface, self.config, *numbers, earlier, self.generator)
-        place = (tuple(self.counts), self.samples, random)
-        keeper = self.keeper
         if keeper is not None and not keeper.resume(fitting) and self.round:
             keeper.begun(fitting, *place)
         yield self._progress(stage, 0, fitting.total)
@@ -233,16 +237,6 @@ class _Run:
             early = (earlier or fitting.early()) if self.partial else None
             if early is not None:
                 return early
-
-    def _still_fitted(self, stage: Stage, fit: SplineFit) -> Generator[Progress, None, Fit]:
-        """A solved field after a round of densification: it knows the quadrics, and points that
-        were added lie on these."""
-        if self.keeper is not None:
-            place = (tuple(self.counts), self.samples, self.generator.get_state())
-            self.keeper.whole(None, fit, *place)
-        yield self._progress(stage, 1, 1)
-        self.partial = self.enough()
-        return fit
 
     def _extracted(self, fit: Fit) -> Mesh:
         field = self.unit_field(fit)
@@ -285,7 +279,7 @@ class _Run:
         surface = self._surface()
         return {
             **about_run(self.config, self.normalisation, surface),
-            "warnings": [*self.cloud.warnings, *self._scattered()],
+            "warnings": [*self.cloud.warnings, *self._left_out()],
             "device": str(self.samples.device),
             "points": {
                 "input": len(self.cloud.points),
@@ -301,12 +295,12 @@ class _Run:
             "seconds": {**self.seconds, "total": time.monotonic() - self.started},
         }
 
-    def _scattered(self) -> list[str]:
+    def _left_out(self) -> list[str]:
         """What is said of points that were left out."""
         count = self.distinct - len(self.measured)
-        return (
-            [f"left out {count} points that are scattered in space, on no surface"] if count else []
-        )
+        if count == 0:
+            return []
+        return [f"left out {count} points that are scattered in space, on no surface"]
 
     def _glance(self) -> Glance:
         field = None if self.latest is None else self.unit_field(self.latest)

@@ -218,6 +218,7 @@ def test_a_worker_that_is_shut_down_saves_and_hands_over(ground: Any) -> None:
     record = shop.reaches(job_id, JobState.SUCCEEDED, within_s=60.0)
     assert (record.attempt, record.crashes) == (2, 0)
     assert f"{job_id} attempt 2 goes on from attempt 1" in shop.log()
+    assert digests(record) == bench.undisturbed(config)[0]
 
 
 @soak_only

@@ -10,8 +10,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from udflow.cloud.fits import fit_width
-from udflow.cloud.neighbours import NeighbourTree
+from udflow.cloud.fits import fit_nearest
+from udflow.cloud.neighbours import Neighbours, NeighbourTree
 
 SPARSE = 3.0  # median spacings: samples nearer to their neighbours stay
 ROUGH = 0.3  # spacings: by how much samples together may miss surfaces through their neighbours
@@ -37,23 +37,23 @@ def without_scattered(samples: Tensor) -> Tensor:
 
 def _scattered(samples: Tensor) -> Tensor:
     """(k,) rows of samples that are sparse, among sparse ones through which no surface passes."""
-    tree = NeighbourTree(samples)
-    spacing = tree.nearest(samples, _NEIGHBOURS).spacing
+    near = NeighbourTree(samples).nearest(samples, _NEIGHBOURS)
+    spacing = near.spacing
     sparse = (spacing > SPARSE * spacing.median()).nonzero().squeeze(1)
     if len(sparse) == 0:
         return sparse
     places = samples[sparse]
-    missed = _missed(samples, tree, places) / spacing[sparse]
+    missed = _missed(samples, near, sparse) / spacing[sparse]
     witnesses = NeighbourTree(places).nearest(places, _WITNESSES).index
     rough = missed.clamp_max(1.0)[witnesses].square().mean(dim=1).sqrt()
     return sparse[(rough > ROUGH) & (missed > FLAT)]
 
 
-def _missed(samples: Tensor, tree: NeighbourTree, places: Tensor) -> Tensor:
-    """(n,) how far samples at (n, 3) places lie from the surface through their neighbours;
+def _missed(samples: Tensor, near: Neighbours, rows: Tensor) -> Tensor:
+    """(n,) how far the samples of (n,) rows lie from the surface through their neighbours;
     infinite where these are a heap far away, which says nothing about a surface here."""
-    near = tree.nearest(places, _NEIGHBOURS)
-    offset = samples[near.index[:, 1:]] - places[:, None]
-    aside = offset.mean(dim=1).norm(dim=1) > _ASIDE * near.distance[:, -1]
-    error = fit_width(samples, tree, places, _NEIGHBOURS).quadrics.error
+    places = samples[rows]
+    offset = samples[near.index[rows, 1:]] - places[:, None]
+    aside = offset.mean(dim=1).norm(dim=1) > _ASIDE * near.distance[rows, -1]
+    error = fit_nearest(samples, places, near, _NEIGHBOURS, rows).quadrics.error
     return torch.where(aside, torch.inf, error)

@@ -15,9 +15,7 @@ from udflow.mesh.topology import face_normals, parts, side_ends
 from udflow.mesh.trim import SMALLEST_HOLE
 
 LARGEST = 60.0  # squared spacings that may be closed where the data goes on
-DATA_GOES_ON = (
-    -0.4
-)  # mean overshoot around such a hole, in spacings; around true ones -0.1 and more
+DATA_GOES_ON = -0.4  # mean overshoot around such a hole, in spacings; around true ones > -0.1
 BY_CHANCE = 10.0  # squared spacings: no wider are gaps among samples at random, ln n of n samples
 GAP_BY_CHANCE = -0.2  # mean overshoot around one that may be such a gap
 COVERED = 0.2  # part of the samples due on a patch that show it to be surface,
