@@ -37,12 +37,15 @@ GATES = Path(__file__).with_name("gates.toml")
 POINTS = 4_000
 SETTINGS = Settings(resolution=64, samples=10_000)
 CONFIG = {"extract": {"resolution": SETTINGS.resolution}, "densify": {"target_points": 0}}
-QUICK = {  # ground truth and scan
-    "torus": ("torus", even(POINTS)),
-    "box": ("box", even(POINTS)),
-    "bowl": ("bowl", even(POINTS, 0.003)),
-    "cad/wingnut": ("cad/wingnut", even(POINTS)),
-    "torus, outliers": ("torus", with_outliers(0.05, POINTS)),
+SHORT = {"iterations": 400, "batch": 1_000, "sided": 130, "warmup": 40, "queries": 40_000}
+TRAINED = CONFIG | {"preset": "neural", "training": SHORT, "extract": {"resolution": 32}}
+QUICK = {  # ground truth, scan, configuration
+    "torus": ("torus", even(POINTS), CONFIG),
+    "box": ("box", even(POINTS), CONFIG),
+    "bowl": ("bowl", even(POINTS, 0.003), CONFIG),
+    "cad/wingnut": ("cad/wingnut", even(POINTS), CONFIG),
+    "torus, outliers": ("torus", with_outliers(0.05, POINTS), CONFIG),
+    "torus, neural": ("torus", even(POINTS), TRAINED),
 }
 MARGIN = 0.15  # of a figure; a smaller loss is not clear
 SPREAD = 0.5  # of a count that is not zero: those of torn surfaces change with every rounding
@@ -53,12 +56,12 @@ COUNTS = {"loops": "boundary_loops", "parts": "components", "euler": "euler_numb
 
 def quick(name: str, data: Path) -> Row | None:
     """The figures of a small scan, or None where its ground truth is absent."""
-    shape, scan = QUICK[name]
+    shape, scan, config = QUICK[name]
     truth = _truth(shape, data)
     if truth is None:
         return None
     cloud = PointCloud(scan(truth, SETTINGS.seed))
-    mesh = reconstruct(cloud, from_dict(CONFIG)).mesh
+    mesh = reconstruct(cloud, from_dict(config)).mesh
     return figures(mesh, truth, SETTINGS)
 
 

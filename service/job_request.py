@@ -8,7 +8,7 @@ from typing import Any
 from service.bodies import parse_json, validated
 from service.problems import Problem, invalid
 from service.schemas import JobCreate
-from udflow.config import PRESET_NAMES, from_dict, preset, to_dict
+from udflow.config import PRESET_NAMES, from_dict, preset, require_target, to_dict
 from udflow.errors import InvalidConfig
 
 Path = tuple[str, ...]
@@ -33,15 +33,39 @@ def complete_config(preset_name: str, changes: dict[str, Any]) -> dict[str, Any]
         raise _explained(preset_name, changes, str(error)) from error
 
 
+def require_suitable(config: dict[str, Any], scan: dict[str, Any]) -> None:
+    """Refuses a complete configuration that a scan's manifest shows to be in vain.
+
+    Raises:
+        Problem: 422, more points are there already than densification is to end at.
+    """
+    try:
+        require_target(from_dict(config), int(scan["unique_points"]))
+    except InvalidConfig as error:
+        raise invalid("#/config/densify/target_points", "invalid_value", str(error)) from error
+
+
 def _explained(preset_name: str, changes: dict[str, Any], message: str) -> Problem:
-    """Tries each change alone, so that the answer points at every one that is wrong."""
+    """Adds the changes one by one, so that the answer points at every one that is wrong; what only
+    another change makes right (more layers, say) is tried again after that one."""
+    good: dict[str, Any] = {"preset": preset_name}
+    waiting = list(_leaves(changes))
+    while True:
+        wrong = []
+        for path, value in waiting:
+            try:
+                from_dict(tried := _changed(good, path, value))
+            except InvalidConfig as error:
+                wrong.append((path, value, str(error)))
+            else:
+                good = tried
+        if len(wrong) == len(waiting):
+            break
+        waiting = [(path, value) for path, value, _ in wrong]
     errors = []
-    for path, value in _leaves(changes):
-        try:
-            from_dict({**_nested(path, value), "preset": preset_name})
-        except InvalidConfig as error:
-            code = "invalid_value" if _is_known(preset_name, path) else "unknown_key"
-            errors.append(("/".join(["#", "config", *map(_escaped, path)]), code, str(error)))
+    for path, _, reason in wrong:
+        code = "invalid_value" if _is_known(preset_name, path) else "unknown_key"
+        errors.append(("/".join(["#", "config", *map(_escaped, path)]), code, reason))
     if not errors:
         errors.append(("#/config", "invalid_value", message))
     detail = "; ".join(text for _, _, text in errors[:3])
@@ -56,11 +80,12 @@ def _leaves(values: dict[str, Any], path: Path = ()) -> Iterator[tuple[Path, Any
             yield (*path, key), value
 
 
-def _nested(path: Path, value: Any) -> dict[str, Any]:
-    for key in reversed(path):
-        value = {key: value}
-    nested: dict[str, Any] = value
-    return nested
+def _changed(values: dict[str, Any], path: Path, value: Any) -> dict[str, Any]:
+    """A copy of nested values with one more."""
+    key, *rest = path
+    inner = values.get(key)
+    below = inner if isinstance(inner, dict) else {}
+    return {**values, key: _changed(below, tuple(rest), value) if rest else value}
 
 
 def _is_known(preset_name: str, path: Path) -> bool:

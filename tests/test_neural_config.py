@@ -20,6 +20,7 @@ LIMITS: list[tuple[type, str, list[Any], list[Any]]] = [
     (NetworkConfig, "time_frequencies", [0, 64], [-1, 65]),
     (NetworkConfig, "skips", [(), (1, 7)], [(0,), (8,), (2, 2), (-1,)]),
     (NetworkConfig, "film", [(), (0, 7)], [(8,), (0, 0), (-1,)]),
+    (NetworkConfig, "film_width", [None, 4, 4096], [3, 4097]),
     (NetworkConfig, "activation", ["relu"], ["tanh", ""]),
     (NetworkConfig, "output", ["abs", "relu", "softplus"], ["sigmoid", ""]),
     (NetworkConfig, "scale", ["learned", "ideal"], ["none"]),

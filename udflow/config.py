@@ -91,6 +91,18 @@ class DensifyConfig(Strict):
             f'densify.guard is "{self.guard}"; choose "support" or "none"',
         )
 
+    def require_above(self, points: int) -> None:
+        """Refuses a target that so many points have passed already: densification only adds.
+
+        Raises:
+            InvalidConfig: fewer points are wanted than there are.
+        """
+        require(
+            self.target_points >= points,
+            f"densify.target_points is {self.target_points}, fewer than the {points} points of "
+            "the cloud; raise it, set it to 0 to add none, or thin the cloud out",
+        )
+
 
 @dataclass(frozen=True)
 class ExtractConfig(Strict):
@@ -198,6 +210,16 @@ def preset(name: str) -> Config:
         f'unknown preset "{name}"; choose one of: {", ".join(PRESET_NAMES)}',
     )
     return Config(preset=name, **_CHANGES[name])
+
+
+def require_target(config: Config, points: int) -> None:
+    """Refuses a target, other than the preset's own and 0, that a cloud has passed already.
+
+    Raises:
+        InvalidConfig: it lies below the points of the cloud.
+    """
+    if config.densify.target_points not in (0, preset(config.preset).densify.target_points):
+        config.densify.require_above(points)
 
 
 def presets() -> dict[str, Config]:

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
 from udflow.config import DensifyConfig
-from udflow.errors import InvalidConfig
 from udflow.fields.interface import DistanceField, ProjectiveField
 
 _SPREAD = 0.25  # of the distance to the tenth neighbour: how far queries start from the samples
@@ -63,19 +62,6 @@ class Round:
         }
 
 
-def require_target(points: int, config: DensifyConfig) -> None:
-    """Refuses a target that was asked for and is passed already.
-
-    Raises:
-        InvalidConfig: fewer points are wanted than there are; densification only adds.
-    """
-    if config.target_points < points:
-        raise InvalidConfig(
-            f"densify.target_points is {config.target_points}, fewer than the {points} points of "
-            "the cloud; raise it, or thin the cloud out"
-        )
-
-
 def densified(
     cloud: Tensor,
     fit: Callable[[Tensor], ProjectiveField | DistanceField],
@@ -96,7 +82,7 @@ def densified(
     Raises:
         InvalidConfig: the target lies below the number of points that there are.
     """
-    require_target(len(cloud), config)
+    config.require_above(len(cloud))
     latest = Round(0, cloud, 0)
     yield latest
     while len(latest.samples) < config.target_points:

@@ -39,6 +39,8 @@ class NetworkConfig(Strict):
     skips: layers whose input has the embedded position joined to it.
     film: layers whose input is scaled and shifted by the time; none makes the field the same at
         all times.
+    film_width: of both hidden layers between the time and these scales and shifts; null makes them
+        as wide as the network.
     activation: of the hidden layers. Only "relu": the gradient by hand uses that it is linear in
         pieces.
     output: activation of the scalar d: "relu" is the paper's, "abs" cannot die.
@@ -55,6 +57,7 @@ class NetworkConfig(Strict):
     time_frequencies: int = 16
     skips: tuple[int, ...] = (4,)
     film: tuple[int, ...] = (0, 4)
+    film_width: int | None = None
     activation: Literal["relu"] = "relu"
     output: Output = "abs"
     scale: Scale = "ideal"
@@ -63,6 +66,10 @@ class NetworkConfig(Strict):
     def __post_init__(self) -> None:
         require(1 <= self.layers <= 64, f"network.layers is {self.layers}; choose 1 to 64")
         require(4 <= self.width <= 4096, f"network.width is {self.width}; choose 4 to 4096")
+        require(
+            self.film_width is None or 4 <= self.film_width <= 4096,
+            f"network.film_width is {self.film_width}; choose 4 to 4096, or null for network.width",
+        )
         for name in ("position_frequencies", "time_frequencies"):
             value = getattr(self, name)
             require(0 <= value <= 64, f"network.{name} is {value}; choose 0 (off) to 64")

@@ -28,7 +28,6 @@ from udflow.glance import Glance
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
-from udflow.mesh.settling import settled
 from udflow.progress import Progress, Stage
 from udflow.report import about_run
 
@@ -242,9 +241,7 @@ class _Run:
         field = self.unit_field(fit)
         # Added points lie where the quadrics put them: where there is data, only data can say.
         known = self.samples if self._stands_alone() else self.measured
-        mesh = extract(field, known, self.config.extract)
-        voxel = 1.0 / self.config.extract.resolution
-        return settled(mesh, field, voxel, self.samples.device)
+        return extract(field, known, self.config.extract)
 
     def unit_field(self, fit: Fit) -> ProjectiveField:
         """What is extracted."""

@@ -16,7 +16,6 @@ from udflow.fields.unsigned import UnsignedDistanceField
 from udflow.mesh.colour import transfer_colors
 from udflow.mesh.extract import extract
 from udflow.mesh.mesh import Mesh
-from udflow.mesh.settling import settled
 
 _MARGIN = 6.0  # spacings around a box: rims of the cropped data lie outside of it
 _FEWEST = 16  # points, below which there is no surface to speak of
@@ -51,8 +50,6 @@ def reextract(
     samples = torch.from_numpy(field.normalisation.to_unit(kept)).to(device)
     with torch.inference_mode():
         mesh = extract(field.unit, samples, config)
-        extent = float((samples.amax(dim=0) - samples.amin(dim=0)).max())
-        mesh = settled(mesh, field.unit, extent / config.resolution, samples.device)
     mesh = replace(mesh, vertices=field.normalisation.to_world(mesh.vertices))
     if box is not None:
         mesh = _cut(mesh, box)

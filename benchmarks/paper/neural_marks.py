@@ -23,6 +23,7 @@ import torch
 import trimesh
 from lab import (
     DATA,
+    cost_of,
     load,
     markdown,
     picture_of,
@@ -46,7 +47,7 @@ SMOOTH = ("spot", "bunny_hr")
 SECONDS = 300.0
 HEADER = (
     "shape", "preset", "iterations", "wall s", "process s", "fit s", "extraction s", "mesh→GT",
-    "GT→mesh", "half the sum", "mark", "parts", "loops",
+    "GT→mesh", "half the sum", "below", "marks", "parts", "loops",
 )  # fmt: skip
 
 
@@ -61,7 +62,7 @@ def main() -> None:
     for name, truth, mark in _shapes(options.data):
         if options.only and name not in options.only:
             continue
-        for config in _configs(truth, options):
+        for config in _configs(options):
             row, mesh = measured(name, truth, mark, config, options.samples)
             print(" | ".join(_cells(row)), flush=True)
             rows.append(row)
@@ -80,7 +81,7 @@ def main() -> None:
         picture_of(name, meshes, 1 + len(options.beside))
 
 
-def _configs(truth: Mesh, options: argparse.Namespace) -> list[Config]:
+def _configs(options: argparse.Namespace) -> list[Config]:
     """The preset with its iterations, and others with as many as take the same time."""
     first = _configured(options.preset, options)
     iterations = options.iterations or first.training.iterations
@@ -89,9 +90,8 @@ def _configs(truth: Mesh, options: argparse.Namespace) -> list[Config]:
     others = [_configured(name, options) for name in options.beside]
     if not others:
         return [first]
-    scan = scan_of(truth, 30_000, 0.0, options.seed)
-    seconds = iterations * seconds_per_iteration(first, scan)
-    return [first, *(within(other, scan, seconds) for other in others)]
+    seconds = iterations * seconds_per_iteration(cost_of(first))
+    return [first, *(within(other, seconds) for other in others)]
 
 
 def _configured(name: str, options: argparse.Namespace) -> Config:
@@ -143,9 +143,16 @@ def _cells(row: dict[str, Any]) -> list[str]:
         f"{row['wall_s']:.0f}", f"{row['process_s']:.0f}",
         f"{report['seconds']['fitting']:.0f}", f"{report['seconds']['extracting']:.0f}",
         f"{row['accuracy']['mean']:.3f}", f"{row['completeness']['mean']:.3f}", f"{error:.3f}",
-        f"{'met' if error < row['mark'] else 'missed'} ({row['mark']})",
+        str(row["mark"]), _verdict(error, row),
         str(row["topology"]["components"]), str(row["topology"]["boundary_loops"]),
     ]  # fmt: skip
+
+
+def _verdict(error: float, row: dict[str, Any]) -> str:
+    """Of both marks; wall seconds are those of a free machine only where nothing else ran."""
+    missed = [] if error < row["mark"] else ["error"]
+    missed += [] if row["wall_s"] <= SECONDS else ["time"]
+    return f"missed: {', '.join(missed)}" if missed else "met"
 
 
 def _error(row: dict[str, Any]) -> float:

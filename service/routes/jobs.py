@@ -19,7 +19,7 @@ from service.callers import current
 from service.downloads import matches
 from service.estimates import require_affordable, view
 from service.ingest import is_form, received, store_scan
-from service.job_request import complete_config, form_values
+from service.job_request import complete_config, form_values, require_suitable
 from service.job_view import current_view, job_view
 from service.openapi import job_request_body, problems
 from service.problems import Problem
@@ -90,6 +90,7 @@ async def create_job(
         webhook=callable_webhook(wish.webhook, services),
         caller=current().owner,
     )
+    require_suitable(spec.config, scan)
     estimate = await run_in_threadpool(
         require_affordable, scan, spec.config, "reconstruct", services
     )

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made import MADE
+import trimesh
+from made import MADE, sponge
 from numpy.typing import NDArray
 
 PAPER = Path(__file__).resolve().parents[2] / "benchmarks" / "paper"
 sys.path.append(str(PAPER))
 
 import common  # noqa: E402
+import conditions  # noqa: E402
 import densification_shapes  # noqa: E402
 import lab  # noqa: E402
 
@@ -52,6 +54,9 @@ def test_every_variant_is_a_configuration(experiment: dict[str, Any], preset: st
         config = lab.configured(variant, options)
         assert config.seed == 0
         assert 1_000 <= variant.points <= 30_000
+    distinct = lab.distinct(experiment["variants"], options)
+    assert len(names) - 4 <= len(distinct)  # what a preset has already need not run again
+    assert len(distinct) >= 3
 
 
 def test_every_script_is_named_in_the_readme_with_its_table(experiment: dict[str, Any]) -> None:
@@ -93,14 +98,45 @@ def test_a_table_and_a_picture_come_out(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_budget_buys_iterations() -> None:
-    scan = common.scan_of(MADE["torus"](), 1_000, 0.0, 0)
     config = lab.configured(lab.Variant("small", {"network": {"width": 16}}), OPTIONS)
-    few, more = (lab.within(config, scan, seconds).training for seconds in (0.001, 200.0))
+    few, more = (lab.within(config, seconds).training for seconds in (0.001, 200.0))
     assert few.iterations == 100
     assert more.iterations > 600
     assert more.warmup <= more.iterations // 10
     assert few.sided == 0  # too short for such a start
     assert more.sided == config.training.sided
+    changes = {"network": {"width": 16, "output": "relu"}, "flow": {"steps": 1}}
+    same_cost = lab.configured(lab.Variant("other", changes), OPTIONS)
+    assert lab.within(same_cost, 200.0).training.iterations == more.iterations
+
+
+def test_a_variant_that_changes_nothing_is_left_out() -> None:
+    variants = [
+        lab.Variant("as it is"),
+        lab.Variant("output abs", {"network": {"output": "abs"}}),
+        lab.Variant("output relu", {"network": {"output": "relu"}}),
+        lab.Variant("few", points=5_000),
+    ]
+    names = [variant.name for variant in lab.distinct(variants, OPTIONS)]
+    assert names == ["as it is", "output relu", "few"]
+
+
+def test_the_sponge_is_closed_and_of_genus_81() -> None:
+    mesh = sponge()
+    made = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert made.is_watertight
+    assert made.is_winding_consistent
+    assert made.euler_number == 2 - 2 * 81
+    assert made.volume == pytest.approx((20 / 27) ** 2)
+
+
+def test_depth_cameras_err_more_the_farther_away_they_are() -> None:
+    truth = MADE["torus"]()
+    exact = common.scan_of(truth, conditions.FULL, 0.0, 0)
+    error = np.linalg.norm(conditions.by_depth_cameras(truth, 0) - exact, axis=1)
+    assert 0.5e-3 < np.median(error) < 2e-3
+    from_axis = np.hypot(exact[:, 0], exact[:, 1])
+    assert error[from_axis > 0.45].mean() < 0.8 * error[from_axis < 0.25].mean()
 
 
 def test_densification_is_counted_by_what_changes() -> None:

@@ -71,6 +71,10 @@ def test_a_file_alone_is_enough(client: httpx.Client) -> None:
         ({"config": {"extract": {"resolution": 64.5}}}, "#/config/extract/resolution", None),
         ({"config": {"extract": 64}}, "#/config/extract", None),
         ({"config": {"seed": -1}}, "#/config/seed", None),
+        ({"config": {"flow": {"steps": 0}}}, "#/config/flow/steps", None),
+        ({"config": {"densify": {"threshold": -0.005}}}, "#/config/densify/threshold", None),
+        ({"config": {"densify": {"target_points": 400}}}, "#/config/densify/target_points", None),
+        ({"config": {"network": {"activation": "gelu"}}}, "#/config/network/activation", None),
         ({"config": {"preset": "paper"}}, "#/config/preset", None),
         ({"config": []}, "#/config", None),
         ({"metadata": {"a": 1}}, "#/metadata/a", None),
@@ -100,6 +104,16 @@ def test_every_wrong_value_is_named_at_once(client: httpx.Client, scan: dict[str
         "#/config/densify/speed",
     }
     assert "16 to 1024" in problem["detail"]
+
+
+def test_what_another_value_makes_right_is_not_blamed(
+    client: httpx.Client, scan: dict[str, Any]
+) -> None:
+    config = {"network": {"skips": [4, 8], "film": [0], "layers": 12, "output": "tanh"}}
+    problem = post_job(client, scan, preset="neural", config=config).json()
+    (error,) = problem["errors"]
+    assert error["pointer"] == "#/config/network/output"
+    assert "abs" in error["message"]
 
 
 def test_wrong_values_of_a_form_are_found_before_the_scan_is_read(client: httpx.Client) -> None:

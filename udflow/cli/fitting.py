@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from udflow.cli.exits import UsageError
 from udflow.cli.files import STREAM, opened_input
 from udflow.cli.progress import shown_progress
-from udflow.config import Config, from_dict
+from udflow.config import Config, from_dict, require_target
 
 if TYPE_CHECKING:
     from udflow.reconstruct import Reconstruction
@@ -64,7 +64,9 @@ def fitted(options: argparse.Namespace, config: Config) -> Reconstruction:
     with opened_input(options.scan) as path:
         cloud = read_cloud(path)
         require_reconstructable(cloud)
-        _check_target(len(cloud.points), options, config)
+        require_target(config, len(cloud.points))
+        if getattr(options, "target", None) is not None:
+            config.densify.require_above(len(cloud.points))
     checkpoint = getattr(options, "checkpoint", None)
     with shown_progress(options.quiet) as listener:
         return reconstruct(
@@ -74,18 +76,6 @@ def fitted(options: argparse.Namespace, config: Config) -> Reconstruction:
             on_progress=listener,
             checkpoint=None if checkpoint is None else Path(checkpoint),
         )
-
-
-def _check_target(points: int, options: argparse.Namespace, config: Config) -> None:
-    """A target that was asked for by --target must not be passed already.
-
-    Raises:
-        InvalidConfig: the scan has more points.
-    """
-    if getattr(options, "target", None) is not None:
-        from udflow.densify import require_target
-
-        require_target(points, config.densify)
 
 
 def say(options: argparse.Namespace, lines: list[str]) -> None:

@@ -66,7 +66,8 @@ class Network:
     def _time_shapes(self) -> dict[str, tuple[int, ...]]:
         """The time embedding and its MLP with two hidden layers: (scale, shift) for the columns of
         h_l and then for those of h_0, shared by all layers."""
-        width, modulated = self.config.width, self.config.width + self.embedded
+        modulated = self.config.width + self.embedded
+        width = self.config.film_width or self.config.width
         return {
             "time.frequencies": (self.config.time_frequencies,),
             "time0.weight": (width, 1 + 2 * self.config.time_frequencies),

@@ -245,15 +245,21 @@ class RecordedTrainer(Trainer):
     of hundreds, and no word from the host but the rows and the learning rate."""
 
     _EAGER = 3  # steps before recording, so that libraries have set themselves up
+    _eager = 0  # made so far
 
     def _advance(self) -> None:
-        if self.iteration == self._EAGER and not hasattr(self, "_graph"):
-            self._graph = torch.cuda.CUDAGraph()
-            torch.cuda.synchronize()
-            with torch.cuda.graph(self._graph):
-                self._one_step()
-            self._step = self._graph.replay
+        if self._eager == self._EAGER:
+            self._record()
         super()._advance()
+        self._eager += 1
+
+    def _record(self) -> None:
+        """From now on a step is the replay of this one."""
+        self._graph = torch.cuda.CUDAGraph()
+        torch.cuda.synchronize()
+        with torch.cuda.graph(self._graph):
+            self._one_step()
+        self._step = self._graph.replay
 
 
 def trainer_for(device: torch.device) -> type[Trainer]:

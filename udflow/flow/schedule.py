@@ -24,7 +24,7 @@ class TimeSchedule:
 
     def __post_init__(self) -> None:
         if self.steps < 1:
-            raise InvalidConfig(f"the time schedule needs K >= 1 steps, not {self.steps}")
+            raise InvalidConfig(f"flow.steps is {self.steps}; choose K >= 1 steps (paper: 5)")
 
     def time(self, k: int) -> float:
         """t_k for 0 <= k <= K."""

@@ -25,6 +25,7 @@ from udflow.mesh.mesh import Mesh
 from udflow.mesh.necks import without_necks
 from udflow.mesh.orientation import oriented
 from udflow.mesh.rims import faired
+from udflow.mesh.settling import settled
 from udflow.mesh.support import SampleSet
 from udflow.mesh.topology import edges_of, parts
 from udflow.mesh.trim import trimmed
@@ -69,7 +70,8 @@ def _by_edges(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh
     draft = _on_surface(field, surface, lattice.step)
     if len(draft.faces) > 0:
         draft = _finished(field, draft, samples, lattice.step)
-    return Mesh(draft.vertices, draft.faces)
+    mesh = Mesh(draft.vertices, draft.faces)
+    return settled(mesh, field, lattice.step, samples.device)
 
 
 def _by_cells(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh:

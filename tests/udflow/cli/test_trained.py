@@ -137,6 +137,11 @@ def test_a_target_below_the_scan_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     np.save(tmp_path / "scan.npy", Sphere().sample(500).numpy())
-    command = ["densify", str(tmp_path / "scan.npy"), "-o", str(tmp_path / "p.ply")]
-    assert main([*command, "--target", "400"]) == 2
-    assert "fewer than the 500 points of the cloud; raise it" in capsys.readouterr().err
+    scan, setting = str(tmp_path / "scan.npy"), ["--set", "densify.target_points=400"]
+    for command in (
+        ["densify", scan, "-o", str(tmp_path / "p.ply"), "--target", "400"],
+        ["densify", scan, "-o", str(tmp_path / "p.ply"), *setting],
+        ["reconstruct", scan, "-o", str(tmp_path / "m.ply"), *setting],
+    ):
+        assert main(command) == 2
+        assert "fewer than the 500 points of the cloud; raise it" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import pytest
 import torch
@@ -265,11 +266,27 @@ def test_precision_is_as_it_was_afterwards() -> None:
     assert torch.get_float32_matmul_precision() == before
 
 
-@pytest.mark.parametrize("sided", [False, True])
-def test_one_step_only_launches_kernels(sided: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("changes", "objective", "sided"),
+    [
+        ({}, None, False),
+        ({}, None, True),
+        ({"optimiser": "muon"}, None, True),
+        ({"precision": "bfloat16"}, None, False),
+        ({}, pull_objective("abs", "chamfer"), False),
+        ({}, pull_objective("abs", "points"), False),
+    ],
+    ids=["plain", "sides", "muon", "bfloat16", "unpaired", "pairs"],
+)
+def test_one_step_only_launches_kernels(
+    changes: dict[str, Any],
+    objective: Objective | None,
+    sided: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What a CUDA graph records must not ask the device for a number. There need not be a GPU
-    here: every way from a tensor to a number of the host is closed for one step."""
-    subject = trainer()
+    here: every way of a tensor's own to a number of the host is closed for one step."""
+    subject = trainer(replace(TRAINING, **changes), objective)
     ends = subject._trajectories
     side = torch.ones(len(ends)) if sided else None
     subject._trajectories = replace(ends, side=side)
@@ -279,7 +296,8 @@ def test_one_step_only_launches_kernels(sided: bool, monkeypatch: pytest.MonkeyP
 
     with torch.inference_mode():
         subject._advance()
-        for name in ("item", "__float__", "__int__", "__bool__", "tolist", "numpy", "cpu"):
+        closed = ("item", "__float__", "__int__", "__bool__", "tolist", "numpy", "cpu", "nonzero")
+        for name in closed:
             monkeypatch.setattr(Tensor, name, refused)
         subject._one_step()
 
@@ -287,6 +305,21 @@ def test_one_step_only_launches_kernels(sided: bool, monkeypatch: pytest.MonkeyP
 def test_a_cuda_device_records_its_step() -> None:
     assert trainer_for(torch.device("cuda")) is RecordedTrainer
     assert trainer_for(torch.device("cpu")) is Trainer
+
+
+def test_a_step_is_recorded_once_also_where_a_training_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recorded: list[int] = []
+    monkeypatch.setattr(RecordedTrainer, "_record", lambda self: recorded.append(self.iteration))
+    monkeypatch.setitem(globals(), "Trainer", RecordedTrainer)
+    stopped = trainer()
+    with torch.inference_mode():
+        next(stopped.run())
+        again = trainer()
+        again.restore(stopped.state())
+        next(again.run())
+    assert recorded == [3, REPORT_EVERY + 3]
 
 
 @pytest.mark.skipif(

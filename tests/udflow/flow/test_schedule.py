@@ -31,5 +31,5 @@ def test_steps_join_the_times_and_sum_to_one(steps: int) -> None:
 
 @pytest.mark.parametrize("steps", [0, -1])
 def test_fewer_than_one_step_is_refused(steps: int) -> None:
-    with pytest.raises(InvalidConfig, match=f"needs K >= 1 steps, not {steps}"):
+    with pytest.raises(InvalidConfig, match=f"flow.steps is {steps}; choose K >= 1"):
         TimeSchedule(steps)
