@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from made import MADE
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import conditions as conditions
 from common import DATA, RESULTS, load, markdown, provenance, provenance_line, save, scan_of, shapes
+from made import MADE
 
 from udflow import picture
 from udflow.cloud.point_cloud import PointCloud

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 import struct
+import subprocess
 import sys
 import zlib
 from argparse import Namespace
@@ -57,6 +58,14 @@ def test_every_variant_is_a_configuration(experiment: dict[str, Any], preset: st
     distinct = lab.distinct(experiment["variants"], options)
     assert len(names) - 4 <= len(distinct)  # what a preset has already need not run again
     assert len(distinct) >= 3
+
+
+@pytest.mark.parametrize("script", ["fig14_conditions", "beside_the_surface"])
+def test_a_script_starts_by_itself(script: str) -> None:
+    command = [sys.executable, str(PAPER / f"{script}.py"), "--help"]
+    found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=PAPER.parent)
+    assert found.returncode == 0, found.stderr
+    assert "--save" in found.stdout
 
 
 def test_every_script_is_named_in_the_readme_with_its_table(experiment: dict[str, Any]) -> None:
