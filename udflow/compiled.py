@@ -6,8 +6,10 @@ what the tests hold the loop against.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from threading import Thread
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any, TypeVar
 
 import numba
@@ -44,9 +46,19 @@ def over_rows(
     """
     count = max(1, min(torch.get_num_threads(), rows // least))
     ends = [rows * i // count for i in range(count + 1)]
-    others = [Thread(target=loop, args=(ends[i], ends[i + 1], *arguments)) for i in range(1, count)]
-    for thread in others:
-        thread.start()
+    others = [
+        _helpers(count - 1).submit(loop, ends[i], ends[i + 1], *arguments) for i in range(1, count)
+    ]
     loop(ends[0], ends[1], *arguments)
-    for thread in others:
-        thread.join()
+    for other in others:
+        other.result()
+
+
+@cache
+def _helpers(count: int) -> ThreadPoolExecutor:
+    """Threads that wait for work: starting one takes as long as a few thousand rows."""
+    return ThreadPoolExecutor(count, thread_name_prefix="rows")
+
+
+# threads do not survive a fork: the child starts its own
+os.register_at_fork(after_in_child=_helpers.cache_clear)

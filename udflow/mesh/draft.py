@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from udflow.mesh.topology import Edges, edges_of
+from udflow.mesh.topology import Edges, edges_of, with_any
 
 Project = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (n, 3) points to the surface
 
@@ -42,9 +42,9 @@ class Draft:
 
     def loose_edges(self) -> Edges:
         """The edges at loose vertices, among them all that have not exactly two faces."""
-        near = np.flatnonzero(self.loose[self.faces].any(axis=1))
+        near = np.flatnonzero(with_any(self.faces, self.loose))
         edges = edges_of(self.faces[near])
-        kept = self.loose[edges.ends].any(axis=1)
+        kept = with_any(edges.ends, self.loose)
         sides = edges.sides[np.repeat(kept, edges.count)]
         first = np.concatenate([[0], np.cumsum(edges.count[kept])])
         return Edges(edges.ends[kept], first, 3 * near[sides // 3] + sides % 3)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from udflow.mesh.draft import Draft
-from udflow.mesh.topology import edges_of, face_normals, parts, side_pairs
+from udflow.mesh.topology import edges_of, face_normals, parts, side_pairs, with_any
 
 FOLD = -0.2  # cosine between the normals of neighbouring faces below which they are folded
 RINGS = 2  # of vertices around a fold that belong to its patch
@@ -29,7 +29,7 @@ def without_small_handles(draft: Draft) -> Draft:
     folded = _folded_vertices(draft, edges.sides_where(2))
     if not folded.any():
         return draft
-    patch = np.flatnonzero(_grown(folded, edges.ends)[draft.faces].any(axis=1))
+    patch = np.flatnonzero(with_any(draft.faces, _grown(folded, edges.ends)))
     cut = patch[_in_wrong_patches(draft.faces[patch], len(draft.vertices))]
     if len(cut) == 0:
         return draft
@@ -55,7 +55,7 @@ def _folded_vertices(draft: Draft, sides: NDArray[np.int64]) -> NDArray[np.bool_
 def _grown(chosen: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(v,) the chosen vertices and those within RINGS edges of them."""
     for _ in range(RINGS - 1):
-        touching = ends[chosen[ends].any(axis=1)]
+        touching = ends[with_any(ends, chosen)]
         chosen = chosen.copy()
         chosen[touching] = True
     return chosen

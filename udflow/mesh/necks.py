@@ -23,7 +23,7 @@ from udflow.mesh.holes import border_loops, filled
 from udflow.mesh.manifold import separated
 from udflow.mesh.neck_loops import HANDLE, flare, search
 from udflow.mesh.support import SampleSet, first_of_cluster
-from udflow.mesh.topology import edges_of, face_normals, side_ends
+from udflow.mesh.topology import edges_of, face_normals, side_ends, with_any
 
 LONGEST = 3.5  # spacings around a neck that the samples cannot show
 WIDENING = 3.0  # spacings from a neck within which both its ends widen into sheets
@@ -213,7 +213,7 @@ def _cut(draft: Draft, ways: list[NDArray[np.int64]], spacing: float, project: P
     """The mesh without the faces at the ways, and the holes that this leaves filled."""
     gone = np.zeros(len(draft.vertices), dtype=bool)
     gone[np.concatenate(ways)] = True
-    cut = gone[draft.faces].any(axis=1)
+    cut = with_any(draft.faces, gone)
     loose = draft.loose.copy()
     loose[draft.faces[cut]] = True
     old = np.zeros(len(draft.vertices), dtype=bool)

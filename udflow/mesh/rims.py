@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from udflow.mesh.draft import Draft, Project
-from udflow.mesh.topology import side_pairs
+from udflow.mesh.topology import side_pairs, with_any
 
 MOST_PASSES = 24
 _RINGS = 2  # rings of vertices beside the rim that follow it
@@ -49,9 +49,9 @@ def _springs(draft: Draft, rim: NDArray[np.int64]) -> tuple[NDArray[np.int64], N
     level = np.full(len(draft.vertices), _RINGS + 1)
     level[rim] = 0
     for ring in range(_RINGS):
-        near = draft.faces[(level[draft.faces] == ring).any(axis=1)]
+        near = draft.faces[with_any(draft.faces, level == ring)]
         level[near] = np.minimum(level[near], ring + 1)
-    beside = side_pairs(draft.faces[(level[draft.faces] <= _RINGS).any(axis=1)])
+    beside = side_pairs(draft.faces[with_any(draft.faces, level <= _RINGS)])
     beside = np.concatenate([beside, beside[:, ::-1]])
     beside = beside[(level[beside[:, 0]] > 0) & (level[beside[:, 0]] <= _RINGS)]
     along = np.concatenate([rim, rim[:, ::-1]])

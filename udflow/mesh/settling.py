@@ -14,7 +14,7 @@ from udflow.mesh.draft import Draft
 from udflow.mesh.filling import least_filling
 from udflow.mesh.holes import border_loops, faces_between, joined
 from udflow.mesh.mesh import Mesh
-from udflow.mesh.topology import edges_of
+from udflow.mesh.topology import edges_of, with_any
 
 _TOLERANCE = 0.1  # voxels off the surface that nobody sees
 _ASTRAY = 0.4  # voxels off the surface, after all, that show that there is none
@@ -67,7 +67,7 @@ def _without(mesh: Mesh, dropped: NDArray[np.int64]) -> Mesh:
     by faces between the vertices that stay."""
     gone = np.zeros(len(mesh.vertices), dtype=bool)
     gone[dropped] = True
-    faces = mesh.faces[~gone[mesh.faces].any(axis=1)]
+    faces = mesh.faces[~with_any(mesh.faces, gone)]
     if len(dropped) == 0 or len(faces) == 0:
         return mesh
     faces = np.concatenate([faces, *_bridges(mesh, faces)])

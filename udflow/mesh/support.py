@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from udflow.mesh.topology import face_normals, vertex_normals
+from udflow.mesh.topology import face_normals, vertex_normals, with_any
 
 NEIGHBOURS = (8, 16, 24)
 # Overshoot that counts as the end of the data for each number of neighbours: few neighbours see
@@ -94,7 +94,7 @@ def support_at(
     """`support` of (n,) chosen vertices alone, each measured by itself."""
     around = np.zeros(len(vertices), dtype=bool)
     around[chosen] = True
-    normals = vertex_normals(vertices, faces[around[faces].any(axis=1)])[chosen]
+    normals = vertex_normals(vertices, faces[with_any(faces, around)])[chosen]
     return _measured(samples.tree, vertices[chosen], normals, NEIGHBOURS, ALLOWED)
 
 

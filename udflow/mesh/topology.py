@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from udflow.mesh.topology_loops import sort_sides
+
 
 @dataclass(frozen=True)
 class Edges:
@@ -39,18 +41,20 @@ class Edges:
 
 
 def edges_of(faces: NDArray[np.int64]) -> Edges:
-    """The edges of (f, k) faces."""
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    key = low * (int(faces.max(initial=0)) + 1) + high
-    sides = np.argsort(key, kind="stable")
-    ordered = key[sides]
-    is_first = np.ones(len(ordered), dtype=bool)
-    is_first[1:] = ordered[1:] != ordered[:-1]
-    first = np.flatnonzero(is_first)
-    leader = sides[first]
-    ends = np.stack([low[leader], high[leader]], axis=1)
-    return Edges(ends, np.append(first, len(ordered)), sides)
+    """The edges of (f, k) faces, in the order of their vertices."""
+    count = faces.size
+    sides, ends = np.empty(count, np.int64), np.empty((count, 2), np.int64)
+    pile, first = np.zeros(int(faces.max(initial=0)) + 2, np.int64), np.empty(count + 1, np.int64)
+    found = sort_sides(np.ascontiguousarray(faces), pile, sides, ends, first)
+    return Edges(ends[:found], first[: found + 1], sides)
+
+
+def with_any(corners: NDArray[np.int64], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(f,) whether at least one of the corners (f, k) is among the chosen vertices (v,)."""
+    found = chosen[corners[:, 0]]
+    for column in range(1, corners.shape[1]):
+        found |= chosen[corners[:, column]]
+    return found
 
 
 def side_ends(

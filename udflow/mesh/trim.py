@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from udflow.mesh.draft import Draft, Project
 from udflow.mesh.support import SampleSet, Support, support
-from udflow.mesh.topology import face_normals, parts, side_pairs
+from udflow.mesh.topology import face_normals, parts, side_pairs, with_any
 
 SEED = 0.25  # spacings beyond the data that a region must reach to be cut
 SMALLEST_HOLE = 3.0  # squared spacings: smaller gaps inside a surface are chance, not holes
@@ -33,7 +33,7 @@ def trimmed(draft: Draft, samples: SampleSet, voxel: float, project: Project) ->
         project: moves (n, 3) points onto the surface; cut vertices lie on chords of it.
     """
     found = support(samples, draft.vertices, draft.faces)
-    near = draft.faces[(found.overshoot > _NEAR)[draft.faces].any(axis=1)]
+    near = draft.faces[with_any(draft.faces, found.overshoot > _NEAR)]
     beyond = _without_islands(draft, near, found)
     if not (beyond > 0).any():
         return draft
@@ -100,9 +100,8 @@ def cut(draft: Draft, level: NDArray[np.float64]) -> tuple[Draft, NDArray[np.int
         level: (v,) values, linear inside triangles.
     """
     vertices, level = _snapped(draft, level)
-    sign = np.sign(level[draft.faces]).astype(np.int64)
-    whole = (sign <= 0).all(axis=1) & (sign < 0).any(axis=1)
-    split = (sign > 0).any(axis=1) & (sign < 0).any(axis=1)
+    above, below = with_any(draft.faces, level > 0), with_any(draft.faces, level < 0)
+    whole, split = below & ~above, below & above
     points, pieces = _pieces(vertices, level, draft.faces[split])
     rim = np.concatenate([level == 0, np.ones(len(points), dtype=bool)])
     kept = np.concatenate([draft.faces[whole], pieces])
@@ -116,7 +115,7 @@ def _snapped(
     draft: Draft, level: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Vertices close to the contour moved onto it, so that no slivers are cut."""
-    pairs = side_pairs(draft.faces[(level > 0)[draft.faces].any(axis=1)])
+    pairs = side_pairs(draft.faces[with_any(draft.faces, level > 0)])
     start, end = np.concatenate([pairs, pairs[:, ::-1]]).T
     crossing = level[start] * level[end] < 0
     start, end = start[crossing], end[crossing]
