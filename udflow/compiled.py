@@ -18,6 +18,7 @@ import torch
 Array = Any  # a NumPy array inside a compiled loop
 F = TypeVar("F", bound=Callable[..., Any])
 _LEAST_ROWS = 1 << 10  # worth a thread
+_PIECES = 4  # for each thread
 
 
 def compiled(function: F) -> F:
@@ -38,20 +39,35 @@ def over_rows(
 ) -> None:
     """Runs `loop(start, stop, *arguments)` for all rows, shared among torch's number of threads.
 
+    Rows differ in what they cost, so there are more pieces than threads: who is done takes another.
+
     Args:
         loop: compiled; writes only what belongs to rows start..stop.
         rows: how many.
         arguments: arrays and numbers that all threads see.
         least: rows that are worth a thread.
     """
-    count = max(1, min(torch.get_num_threads(), rows // least))
-    ends = [rows * i // count for i in range(count + 1)]
+    threads = max(1, min(torch.get_num_threads(), rows // least))
+    count = min(threads * (_PIECES if threads > 1 else 1), max(rows // least, 1))
+    pieces = [(rows * i // count, rows * (i + 1) // count) for i in reversed(range(count))]
     others = [
-        _helpers(count - 1).submit(loop, ends[i], ends[i + 1], *arguments) for i in range(1, count)
+        _helpers(threads - 1).submit(_take, loop, pieces, arguments) for _ in range(threads - 1)
     ]
-    loop(ends[0], ends[1], *arguments)
+    _take(loop, pieces, arguments)
     for other in others:
         other.result()
+
+
+def _take(
+    loop: Callable[..., None], pieces: list[tuple[int, int]], arguments: tuple[Any, ...]
+) -> None:
+    """Runs piece after piece until none is left."""
+    while True:
+        try:
+            start, stop = pieces.pop()  # no other thread gets the same one
+        except IndexError:
+            return
+        loop(start, stop, *arguments)
 
 
 @cache

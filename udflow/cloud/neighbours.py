@@ -43,7 +43,9 @@ class NeighbourTree:
         boxes = np.empty((2 ** (levels + 1) - 1, 6), np.float32)
         if self.size > 0:
             build_tree(points, order, levels, boxes)
-        self._tree = points, order, levels, boxes
+        place = np.empty(self.size, np.int32)
+        place[order] = np.arange(self.size, dtype=np.int32)
+        self._tree = points, order, place, levels, boxes
 
     def nearest(self, queries: Tensor, k: int) -> Neighbours:
         """The k nearest samples of (n, 3) finite queries, fewer where there are fewer samples."""

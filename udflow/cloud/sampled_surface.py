@@ -62,8 +62,8 @@ class SampledSurface:
 
 def thinned(points: Tensor, cell: float) -> Tensor:
     """The first of the (n, 3) points in every occupied cell of a lattice, in their order."""
-    keys = torch.floor(points / cell).long()
-    _, group = torch.unique(keys, dim=0, return_inverse=True)
+    x, y, z = torch.floor(points / cell).long().unbind(dim=1)
+    _, group = torch.unique((x << 42) + (y << 21) + z, return_inverse=True)
     first = torch.full((int(group.max()) + 1,), len(points), device=points.device)
     order = torch.arange(len(points), device=points.device)
     first = first.scatter_reduce(0, group, order, reduce="amin")

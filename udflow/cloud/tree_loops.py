@@ -86,15 +86,19 @@ def _divide(points: Array, order: Array, start: int, stop: int, middle: int, axi
 
 @compiled
 def nearest_rows(
-    start: int, stop: int, queries: Array, points: Array, order: Array, levels: int,
-    boxes: Array, distance: Array, index: Array,
+    start: int, stop: int, queries: Array, points: Array, order: Array, place: Array,
+    levels: int, boxes: Array, distance: Array, index: Array,
 ) -> None:  # fmt: skip
     """The k nearest samples of queries start..stop, nearest first, of equally near ones the first.
+
+    None of them is farther than what was nearest to the query before, which lies next to it where
+    queries come in the order of a lattice.
 
     Args:
         start, stop: rows.
         queries: (n, 3) float32.
         points, order, levels, boxes: the tree, see `build_tree`.
+        place: (m,) int32 where in that order each sample is.
         distance, index: (n, k) float32 and int64, filled in; k at most the number of samples.
     """
     k = index.shape[1]
@@ -109,6 +113,9 @@ def nearest_rows(
     for row in range(start, stop):
         x, y, z = queries[row, 0], queries[row, 1], queries[row, 2]
         found, limit, bound, full = 0, np.int64(_NONE), np.float32(np.inf), k + _LEAF
+        if row > start:
+            value[0] = _farthest(index[row - 1], x, y, z, points, place)
+            limit, bound = (np.int64(bits[0]) << 32) | 0xFFFFFFFF, value[0]
         nodes[0], far[0], top = 0, np.float32(0), 1
         while top > 0:
             top -= 1
@@ -143,6 +150,17 @@ def nearest_rows(
             bits[0] = keys[j] >> 32
             distance[row, j] = np.sqrt(value[0])
             index[row, j] = keys[j] & 0xFFFFFFFF
+
+
+@compiled
+def _farthest(index: Array, x: Any, y: Any, z: Any, points: Array, place: Array) -> Any:
+    """Squared distance of the farthest of some samples."""
+    farthest = np.float32(0)
+    for i in index:
+        dx, dy = points[0, place[i]] - x, points[1, place[i]] - y
+        dz = points[2, place[i]] - z
+        farthest = max(farthest, dx * dx + dy * dy + dz * dz)
+    return farthest
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from udflow.mesh.draft import Draft
@@ -31,9 +32,15 @@ def without_dust(draft: Draft, samples: SampleSet, voxel: float) -> Draft:
     doubtful = np.ones(len(area), dtype=bool)
     doubtful[area.argmax()] = False
     candidates = cKDTree(vertices[doubtful[part]])
-    distance = candidates.query(samples.points, workers=2, distance_upper_bound=2 * spacing)[0]
-    near = samples.points[np.isfinite(distance)]
-    nearest = cKDTree(vertices, balanced_tree=False).query(near, workers=2)[1]
+
+    def beside(points: NDArray[np.float64], spacings: float) -> NDArray[np.bool_]:
+        reach = spacings * spacing
+        return np.isfinite(candidates.query(points, workers=2, distance_upper_bound=reach)[0])
+
+    near = samples.points[beside(samples.points, 2.0)]
+    # what is nearest to these lies within 2 spacings of them, and 4 of a doubtful part
+    around = np.flatnonzero(beside(vertices, 4.0))
+    nearest = around[cKDTree(vertices[around], balanced_tree=False).query(near, workers=2)[1]]
     support = np.bincount(part[nearest], minlength=len(area))
     kept = ~doubtful | (support >= FEWEST_SAMPLES)
     return Draft(vertices, faces[kept[part[faces[:, 0]]]], draft.loose).compacted()

@@ -116,9 +116,10 @@ def _draw_to_neighbours(
     voxel: float,
 ) -> None:
     """Moves unsettled vertices, in place, towards the nearest of their settled neighbours."""
-    ends = torch.from_numpy(edges_of(faces).ends).to(vertices.device)
     restless = torch.zeros(len(vertices), dtype=torch.bool, device=vertices.device)
     restless[moving] = True
+    near = faces[with_any(faces, restless.cpu().numpy())]
+    ends = torch.from_numpy(edges_of(near).ends).to(vertices.device)
     pairs = torch.cat([ends, ends.flip(1)])
     pairs = pairs[restless[pairs[:, 0]] & ~restless[pairs[:, 1]]]
     length = (vertices[pairs[:, 0]] - vertices[pairs[:, 1]]).norm(dim=1)
