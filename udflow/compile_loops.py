@@ -15,7 +15,7 @@ from udflow.fields.spline_loops import normal_steps
 from udflow.fit.linear_loops import products
 from udflow.mesh import neck_loops, parity_loops
 from udflow.mesh.filling import least_filling
-from udflow.mesh.topology import edges_of
+from udflow.mesh.topology import edges_of, faces_around
 from udflow.picture_loops import draw_discs, draw_triangles
 
 
@@ -41,7 +41,7 @@ def load_loops() -> None:
     surface = lengths, np.zeros((0, 3)), links, some, some, links
     neck_loops.search(0, 0, some, *surface, some, ways, some)
     neck_loops.flare(0, 0, ways, some, *surface, 0, np.zeros((0, 2)), np.zeros(0, np.bool_))
-    edges_of(links)
+    edges_of(links), faces_around(links, 1)
     least_filling(np.zeros((3, 3)))
     places, depth, canvas = np.zeros((0, 3)), np.zeros((0, 0)), np.zeros((0, 0, 3))
     draw_triangles(links, places, places, depth, canvas)

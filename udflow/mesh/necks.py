@@ -23,7 +23,7 @@ from udflow.mesh.holes import border_loops, filled
 from udflow.mesh.manifold import separated
 from udflow.mesh.neck_loops import HANDLE, flare, search
 from udflow.mesh.support import SampleSet, first_of_cluster
-from udflow.mesh.topology import edges_of, face_normals, side_ends, with_any
+from udflow.mesh.topology import edges_of, face_normals, faces_around, side_ends, with_any
 
 LONGEST = 3.5  # spacings around a neck that the samples cannot show
 WIDENING = 3.0  # spacings from a neck within which both its ends widen into sheets
@@ -153,8 +153,7 @@ def _capped(draft: Draft, spacing: float) -> _Surface:
         cones.append(np.stack([ring, np.roll(ring, -1), hub], axis=1))
         centres.append(vertices[ring].mean(axis=0)[None])
     real, faces, vertices = len(vertices), np.concatenate(cones), np.concatenate(centres)
-    order = np.argsort(faces.reshape(-1), kind="stable")
-    first = np.searchsorted(faces.reshape(-1)[order], np.arange(len(vertices) + 1))
+    first, around = faces_around(faces, len(vertices))
     edges = edges_of(faces)
     sides = edges.sides_where(2)
     beyond = np.full(faces.size, -1)
@@ -170,7 +169,7 @@ def _capped(draft: Draft, spacing: float) -> _Surface:
     for end in side_ends(faces, sides[bend, 0]):
         curved[end] = True
     curved[real:] = False
-    return _Surface(vertices, faces, first, order // 3, beyond.reshape(-1, 3), curved, real)
+    return _Surface(vertices, faces, first, around, beyond.reshape(-1, 3), curved, real)
 
 
 def _seeds(
@@ -197,11 +196,9 @@ def _apart(draft: Draft, ways: list[NDArray[np.int64]]) -> list[NDArray[np.int64
     edges = draft.loose_edges()
     taken[edges.ends[edges.count != 2]] = True
     result = []
-    corners = draft.faces.reshape(-1)
-    order = np.argsort(corners, kind="stable")
-    first = np.searchsorted(corners[order], np.arange(len(draft.vertices) + 1))
+    first, around = faces_around(draft.faces, len(draft.vertices))
     for way in ways:
-        faces = np.concatenate([order[first[v] : first[v + 1]] // 3 for v in way])
+        faces = np.concatenate([around[first[v] : first[v + 1]] for v in way])
         near = draft.faces[faces].reshape(-1)
         if not taken[near].any():
             taken[near] = True

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from udflow.mesh.topology_loops import sort_sides
+from udflow.mesh.topology_loops import deal_out, sort_sides
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,20 @@ def edges_of(faces: NDArray[np.int64]) -> Edges:
     pile, first = np.zeros(int(faces.max(initial=0)) + 2, np.int64), np.empty(count + 1, np.int64)
     found = sort_sides(np.ascontiguousarray(faces), pile, sides, ends, first)
     return Edges(ends[:found], first[: found + 1], sides)
+
+
+def faces_around(
+    faces: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The faces at each of `count` vertices, given (f, k) corners.
+
+    Returns:
+        first, (count + 1,), and around, (k f,): the faces at vertex i, in their order, are
+        around[first[i] : first[i + 1]].
+    """
+    first, around = np.zeros(count + 1, np.int64), np.empty(faces.size, np.int64)
+    deal_out(np.ascontiguousarray(faces).reshape(-1), first, around, faces.shape[1])
+    return first, around
 
 
 def with_any(corners: NDArray[np.int64], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:

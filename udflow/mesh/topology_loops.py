@@ -50,6 +50,29 @@ def sort_sides(faces: Array, pile: Array, sides: Array, ends: Array, first: Arra
 
 
 @compiled
+def deal_out(corners: Array, first: Array, around: Array, k: int) -> None:
+    """Fills in the polygons at each vertex, in their order.
+
+    Args:
+        corners: (k f,) int64 vertices of polygons with k corners.
+        first: (v + 1,) int64 zeros, filled in: vertex i owns around[first[i] : first[i + 1]].
+        around: (k f,) int64, filled in; a polygon comes as often as it has the vertex.
+        k: corners of a polygon.
+    """
+    for vertex in corners:
+        first[vertex] += 1
+    total = 0
+    for v in range(len(first)):
+        first[v], total = total, total + first[v]
+    for i in range(len(corners)):
+        around[first[corners[i]]] = i // k
+        first[corners[i]] += 1
+    for v in range(len(first) - 1, 0, -1):
+        first[v] = first[v - 1]
+    first[0] = 0
+
+
+@compiled
 def _sort(keys: Array, values: Array) -> None:
     """Sorts values by their keys, and these; equal ones stay in their order."""
     if len(keys) > _MANY:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from udflow.mesh.topology import Edges, edges_of, with_any
+from udflow.mesh.topology import Edges, edges_of, faces_around, with_any
 
 
 def edges_by_sorting(faces: NDArray[np.int64]) -> Edges:
@@ -49,3 +49,13 @@ def test_edges_are_those_that_sorting_finds(faces: NDArray[np.int64]) -> None:
 def test_polygons_with_any_chosen_corner() -> None:
     faces, chosen = polygons(300, 4, 40), np.arange(40) % 7 == 0
     np.testing.assert_array_equal(with_any(faces, chosen), chosen[faces].any(axis=1))
+
+
+@pytest.mark.parametrize("corners", [3, 4])
+def test_faces_around_vertices(corners: int) -> None:
+    faces = polygons(200, corners, 50, seed=1)
+    first, around = faces_around(faces, 55)
+    order = np.argsort(faces.reshape(-1), kind="stable")
+    np.testing.assert_array_equal(around, order // corners)
+    expected = np.searchsorted(faces.reshape(-1)[order], np.arange(56))
+    np.testing.assert_array_equal(first, expected)
