@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +31,51 @@ def test_every_row_is_visited_once(rows: int) -> None:
 
 def test_as_many_threads_as_torch_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
     shares: list[tuple[int, int]] = []
+    threads: set[int] = set()
 
     def note(start: int, stop: int) -> None:
         shares.append((start, stop))
+        threads.add(threading.get_ident())
+        time.sleep(0.02)
 
     monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
     over_rows(note, 9000)
-    assert sorted(shares) == [(0, 3000), (3000, 6000), (6000, 9000)]
+    assert len(threads) == 3
+    shares.sort()
+    assert len(shares) > 3
+    assert [start for start, _ in shares] == [0, *(stop for _, stop in shares[:-1])]
+    assert shares[-1][1] == 9000
+
+
+def test_what_goes_wrong_in_another_thread_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = threading.get_ident()
+
+    def fail(start: int, stop: int) -> None:
+        if threading.get_ident() != here:
+            raise ValueError("no")
+        time.sleep(0.02)
+
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    with pytest.raises(ValueError, match="no"):
+        over_rows(fail, 9000)
+
+
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    script = (
+        "import os, signal, torch\n"
+        "from udflow.compiled import over_rows\n"
+        "torch.get_num_threads = lambda: 2\n"
+        "seen = []\n"
+        "over_rows(lambda start, stop: seen.append(stop - start), 9000)\n"
+        "if os.fork() == 0:\n"
+        "    signal.alarm(20)\n"
+        "    over_rows(lambda start, stop: seen.append(stop - start), 9000)\n"
+        "    os._exit(0 if sum(seen) == 18000 else 1)\n"
+        "print(os.wait()[1])\n"
+    )
+    command = [sys.executable, "-W", "ignore", "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("0\n", "")
 
 
 def test_without_a_place_for_its_code_it_compiles_anew(tmp_path: Path) -> None:
