@@ -14,6 +14,7 @@ from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics
 from udflow.compiled import over_rows
 
 _BLEND = 6  # quadrics that share in a foot
+UNWIDENED = 16  # neighbours up to which a quadric was not widened against noise
 _REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
 _CHUNK = 1 << 15
 
@@ -37,8 +38,24 @@ class QuadricSurface:
             return points
         return torch.cat([self._project(chunk) for chunk in points.split(_CHUNK)])
 
+    def sure_feet(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Feet of (n, 3) points; (n,) bool, whether most of the quadrics there were not widened
+        against noise; and (n,) the spacing of the samples there."""
+        if len(points) == 0:
+            return points, points[:, 0] > 0, points[:, 0]
+        quadrics = self.quadrics
+        few, parts = quadrics.count <= UNWIDENED, []
+        for chunk in points.split(_CHUNK):
+            near = self.tree.nearest(chunk, _BLEND)
+            clean = few[near.index].float().mean(dim=1) > 0.5
+            parts.append((self._feet(chunk, near), clean, quadrics.spacing[near.index[:, 0]]))
+        feet, clean, spacing = (torch.cat(part) for part in zip(*parts, strict=True))
+        return feet, clean, spacing
+
     def _project(self, points: Tensor) -> Tensor:
-        near = self.tree.nearest(points, _BLEND)
+        return self._feet(points, self.tree.nearest(points, _BLEND))
+
+    def _feet(self, points: Tensor, near: Neighbours) -> Tensor:
         by = self.by_loop if points.device.type == "cpu" else self.by_tensors
         return by(points, near)
 

@@ -11,6 +11,7 @@ from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.pieces import on_one_piece
 from udflow.cloud.quadric_surface import QuadricSurface
 from udflow.cloud.sites import Sites
+from udflow.cloud.twicing import nearer_to_sites
 from udflow.cloud.widths import fit_quadrics
 
 
@@ -40,7 +41,7 @@ class SampledSurface:
         tree = NeighbourTree(samples)
         origin = thinned(samples, detail) if detail > 0 else samples
         sites = Sites(samples if len(origin) == len(samples) else origin, samples, tree)
-        quadrics = on_one_piece(fit_quadrics(sites), sites)
+        quadrics = nearer_to_sites(on_one_piece(fit_quadrics(sites), sites), sites)
         if detail > 0:
             quadrics = replace(quadrics, spacing=quadrics.spacing.clamp_min(detail))
         return cls(samples, tree, QuadricSurface.of(quadrics))

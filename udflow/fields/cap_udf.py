@@ -61,6 +61,11 @@ class CapUdfField:
             points = self.refine(points)
         return points
 
+    @property
+    def solved(self) -> bool:
+        """It is not: it was trained, and is what it has learned."""
+        return False
+
     def covers(self, points: Tensor) -> Tensor:
         """(n,) bool, whether points lie in the box."""
         return (points.abs() <= self.half_edge).all(dim=1)

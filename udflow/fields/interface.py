@@ -42,8 +42,23 @@ class DistanceField(Protocol):
         ...
 
 
+@runtime_checkable
+class EndingField(ProjectiveField, Protocol):
+    """A field that knows more exactly where trajectories end than it can say at every place."""
+
+    def ends(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Ends (n, 3) of trajectories that have come to (n, 3) points of the surface, and (n,)
+        bool, where they are sure; other ends are of no use."""
+        ...
+
+
 class FittedField(ProjectiveField, Protocol):
     """A field that was fitted to a cloud and knows where it can be trusted."""
+
+    @property
+    def solved(self) -> bool:
+        """Whether it was solved for the feet on the quadrics, which then are what it means."""
+        ...
 
     @property
     def half_edge(self) -> float:

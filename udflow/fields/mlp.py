@@ -59,6 +59,11 @@ class MLPField:
         """Unit vectors away from the surface at (n, 3) points, (n, 3); zero on it."""
         return normalize(points - self.project(points), dim=1)
 
+    @property
+    def solved(self) -> bool:
+        """It is not: it was trained, and is what it has learned."""
+        return False
+
     def covers(self, points: Tensor) -> Tensor:
         """(n,) bool, whether points lie in the box."""
         return (points.abs() <= self.half_edge).all(dim=1)

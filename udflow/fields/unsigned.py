@@ -15,6 +15,7 @@ from udflow.errors import InvalidQuery
 from udflow.fields.interface import FittedField
 
 _CHUNK = 1 << 18
+_SAME = 0.2  # spacings that a fitted field and quadrics may differ by where both are right
 _PLACE = 0.04  # unit lengths: queries in one cube of this size are answered one after the other
 
 
@@ -55,6 +56,18 @@ class SurfaceField:
         if len(far) > 0:
             feet[far] = self.fitted.refine(self.surface.project(points[far]))
         return feet
+
+    def ends(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Ends (n, 3) of trajectories that have come to (n, 3) points of the surface, and (n,)
+        bool, where they are sure.
+
+        A solved field means the feet on the quadrics and comes near them. Where the data are
+        clean and both hardly differ, they are its surface.
+        """
+        if not self.fitted.solved:
+            return points, torch.zeros(len(points), dtype=torch.bool, device=points.device)
+        feet, clean, spacing = self.surface.sure_feet(points)
+        return feet, clean & ((feet - points).norm(dim=1) < _SAME * spacing)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from udflow.fields.interface import ProjectiveField
+from udflow.fields.interface import EndingField, ProjectiveField
 from udflow.mesh.draft import Draft
 from udflow.mesh.filling import least_filling
 from udflow.mesh.holes import border_loops, faces_between, joined
@@ -31,7 +31,8 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
     at a vertex should answer that it is there. Where feet jump to and fro, as at the end of a
     crease, a vertex has no foot to rest on; it is drawn to a neighbour that has one.
     What never comes to rest is left out: single vertices for faces between their neighbours,
-    many together, as between samples that are far apart, for a hole.
+    many together, as between samples that are far apart, for a hole. At last vertices go to the
+    ends of their trajectories where the field knows them more exactly.
 
     Args:
         mesh: in the unit frame.
@@ -41,25 +42,35 @@ def settled(mesh: Mesh, field: ProjectiveField, voxel: float, device: torch.devi
     """
     before = torch.from_numpy(mesh.vertices.astype(np.float32)).to(device)
     vertices = before.clone()
-    moving = torch.arange(len(vertices), device=device)
+    astray = _settle(field, vertices, mesh.faces, voxel)
+    if isinstance(field, EndingField):
+        ends, sure = field.ends(vertices)
+        vertices[sure] = ends[sure]
+    result = mesh.vertices.copy()
+    changed = (vertices != before).any(dim=1).cpu().numpy()
+    result[changed] = vertices.cpu().numpy()[changed]
+    return _without(replace(mesh, vertices=result), astray.cpu().numpy())
+
+
+def _settle(
+    field: ProjectiveField, vertices: Tensor, faces: NDArray[np.int64], voxel: float
+) -> Tensor:
+    """Moves vertices, in place, to where they rest; returns the indices of what rests nowhere."""
+    moving = torch.arange(len(vertices), device=vertices.device)
     for _ in range(_STEPS):
+        if len(moving) == 0:
+            break
         feet = field.project(vertices[moving])
         off = (feet - vertices[moving]).norm(dim=1) > _TOLERANCE * voxel
         moving = moving[off]
-        if len(moving) == 0:
-            break
         vertices[moving] = feet[off]
     moving = _unsettled(field, vertices, moving, voxel)
     for _ in range(_FRONTS):
         if len(moving) == 0:
             break
-        _draw_to_neighbours(field, vertices, moving, mesh.faces, voxel)
+        _draw_to_neighbours(field, vertices, moving, faces, voxel)
         moving = _unsettled(field, vertices, moving, voxel)
-    result = mesh.vertices.copy()
-    changed = (vertices != before).any(dim=1).cpu().numpy()
-    result[changed] = vertices.cpu().numpy()[changed]
-    astray = _unsettled(field, vertices, moving, voxel, _ASTRAY).cpu().numpy()
-    return _without(replace(mesh, vertices=result), astray)
+    return _unsettled(field, vertices, moving, voxel, _ASTRAY)
 
 
 def _without(mesh: Mesh, dropped: NDArray[np.int64]) -> Mesh:

@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 
 from udflow.cloud.normalisation import Normalisation
 from udflow.errors import InvalidQuery
+from udflow.fields.mlp import MLPField
+from udflow.fields.network import Network, started
 from udflow.fields.spline import SplineLevel
-from udflow.fields.unsigned import FieldAnswer, UnsignedDistanceField
+from udflow.fields.unsigned import FieldAnswer, SurfaceField, UnsignedDistanceField
+from udflow.flow.schedule import TimeSchedule
+from udflow.neural_config import NetworkConfig
 
 RADIUS = 125.0
 REACHED = 0.003 * 250  # largest error of this small fit
@@ -163,3 +167,27 @@ def test_whole_numbers_and_single_precision_are_welcome(
     expected = sphere_field.query(whole.astype(np.float64)).distance
     assert sphere_field.query(whole).distance == pytest.approx(expected)
     assert expected[0] == pytest.approx(RADIUS, abs=1.0)
+
+
+def test_ends_are_those_of_the_quadrics_where_a_solved_field_comes_near_them(
+    sphere_field: UnsignedDistanceField,
+) -> None:
+    unit = sphere_field.unit
+    on_it = torch.from_numpy(0.5 * directions(300)).float()
+    feet = unit.project(on_it)
+    ends, sure = unit.ends(feet)
+    assert float(sure.float().mean()) > 0.9
+    assert torch.equal(ends, unit.surface.project(feet))
+    off = [(p[sure].norm(dim=1) - 0.5).abs().mean() for p in (ends, feet)]
+    assert off[0] < off[1]
+    assert not bool(unit.ends(0.9 * on_it)[1].any())  # both differ: nothing is sure
+
+
+def test_a_trained_field_ends_where_it_says(sphere_field: UnsignedDistanceField) -> None:
+    config = NetworkConfig(layers=2, width=8, skips=(), film=(0,))
+    parameters = started(Network(config), torch.Generator().manual_seed(0))
+    trained = MLPField(config, TimeSchedule(5), parameters, 0.1, 1.5)
+    points = torch.from_numpy(0.5 * directions(20)).float()
+    ends, sure = SurfaceField(trained, sphere_field.surface).ends(points)
+    assert torch.equal(ends, points)
+    assert not bool(sure.any())
