@@ -77,7 +77,7 @@ class EmbeddedRedis:
             "unixsocketperm": "700",
             "dir": str(self._files),
             "appendonly": "yes",
-            "appendfsync": "everysec",
+            "appendfsync": "always",  # "everysec" answers before it writes while a disk is slow
             "save": "",
             "maxmemory-policy": "noeviction",
             "daemonize": "no",

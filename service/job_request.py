@@ -40,7 +40,7 @@ def require_suitable(config: dict[str, Any], scan: dict[str, Any]) -> None:
         Problem: 422, more points are there already than densification is to end at.
     """
     try:
-        require_target(from_dict(config), int(scan["unique_points"]))
+        require_target(from_dict(config), int(scan.get("unique_points") or 0))
     except InvalidConfig as error:
         raise invalid("#/config/densify/target_points", "invalid_value", str(error)) from error
 

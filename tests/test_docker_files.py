@@ -382,7 +382,7 @@ def test_redis_keeps_what_it_was_told_and_is_not_published() -> None:
     command = part["command"]
     options = dict(zip(command[1::2], command[2::2], strict=True))
     assert options["--appendonly"] == "yes"
-    assert options["--appendfsync"] == "everysec"
+    assert options["--appendfsync"] == "always"
     assert options["--maxmemory-policy"] == "noeviction"
     assert "ports" not in part
     assert part["networks"] == ["inside"]

@@ -217,7 +217,7 @@ def test_a_million_points(ask: Any) -> None:
 def test_queries_are_answered_while_a_job_fits(
     finished: Finished, ask: Any, client: httpx.Client
 ) -> None:
-    busy = submit(client, sphere(3000, seed=4), extract={"resolution": 64})
+    busy = submit(client, sphere(3000, seed=4), extract={"resolution": 64}, densify={})
     answers = 0
     while client.get(f"/v1/jobs/{busy}").json()["state"] in ("queued", "running"):
         assert loaded(ask(npy(POINTS[:10]))).shape == (10,)

@@ -223,7 +223,7 @@ def test_an_unknown_mesh_format(finished: Finished, client: httpx.Client) -> Non
 
 def test_cancel_during_and_before_the_run(client: httpx.Client) -> None:
     """A long fit is stopped while it runs, and the job behind it before it starts."""
-    long = submit(client, sphere(4000), extract={"resolution": 512})
+    long = submit(client, sphere(4000), extract={"resolution": 512}, densify={})
     behind = submit(client, sphere(200))
     while client.get(f"/v1/jobs/{long}").json()["state"] == "queued":
         time.sleep(0.02)
