@@ -88,8 +88,7 @@ const walks = {
     const second = await page.context().newPage();
     await second.goto(page.url());
     await second.getByText(/densified in round/).waitFor(PATIENCE);
-    const [here, there] = [await round(page), await round(second)];
-    assert.ok(Math.abs(here - there) <= 2, `round ${here} here, ${there} in the other tab`);
+    const here = await sameRound(page, second);
 
     process.kill(settings.api, "SIGKILL");
     await page.getByText("Reconnecting").waitFor(PATIENCE);
@@ -260,6 +259,17 @@ async function begin(page, size, prepare = async () => {}) {
 
 async function round(page) {
   return Number(/round (\d+) of/.exec(await page.locator(".counter").textContent())[1]);
+}
+
+/** The round that both tabs tell, but for what passes between two looks. */
+async function sameRound(one, two) {
+  let rounds = [];
+  for (let look = 0; look < 50; look += 1) {
+    rounds = await Promise.all([round(one), round(two)]);
+    if (Math.abs(rounds[0] - rounds[1]) <= 2) return rounds[0];
+    await one.waitForTimeout(100);
+  }
+  assert.fail(`round ${rounds[0]} here, ${rounds[1]} in the other tab`);
 }
 
 async function stop(page, how) {
