@@ -60,6 +60,23 @@ def test_what_goes_wrong_in_another_thread_is_told(monkeypatch: pytest.MonkeyPat
         over_rows(fail, 9000)
 
 
+def test_who_is_busy_elsewhere_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two questions at once: the short one's helper is still at work on the long one."""
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    go_on, visits = threading.Event(), np.zeros(9000, np.int64)
+    long = threading.Thread(target=over_rows, args=(lambda start, stop: go_on.wait(12), 9000))
+    long.start()
+    try:
+        time.sleep(0.1)
+        began = time.monotonic()
+        over_rows(count_visits, 9000, visits)
+        assert time.monotonic() - began < 10
+        assert (visits == 1).all()
+    finally:
+        go_on.set()
+        long.join()
+
+
 def test_a_forked_process_has_threads_of_its_own() -> None:
     script = (
         "import os, signal, torch\n"

@@ -62,7 +62,10 @@ class SampledSurface:
 
 
 def thinned(points: Tensor, cell: float) -> Tensor:
-    """The first of the (n, 3) points in every occupied cell of a lattice, in their order."""
+    """The first of the (n, 3) points in every occupied cell of a lattice, in their order.
+
+    Coordinates are less than 2^20 cells.
+    """
     x, y, z = torch.floor(points / cell).long().unbind(dim=1)
     _, group = torch.unique((x << 42) + (y << 21) + z, return_inverse=True)
     first = torch.full((int(group.max()) + 1,), len(points), device=points.device)

@@ -21,8 +21,8 @@ from udflow.cloud.sites import Sites
 
 _ROUNDS = 2
 _AROUND = 96  # sites that are looked at around each
-_LARGEST = 0.3  # spacings, and errors: who misses its site by more than both ...
-_ERRORS = 3.0  # ... has found another piece of surface
+_SPACINGS = 0.3  # a blend that misses its site by more than so many spacings
+_ERRORS = 3.0  # and so many held-back errors has found another piece of surface
 _ALONG = 0.5  # cosine between normals of sites on one piece of surface
 _NOISE = 0.25  # of the variance that unsmoothed noise would leave, what it leaves after a fit
 _CHUNK = 1 << 14  # sites averaged together: bounds memory
@@ -31,7 +31,7 @@ _CHUNK = 1 << 14  # sites averaged together: bounds memory
 def nearer_to_sites(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
     """The quadrics, moved along their normals by what their blend misses of the sites around."""
     clean = sites.mean((quadrics.count <= UNWIDENED).float(), _AROUND) > 0.5
-    limit = torch.maximum(_LARGEST * quadrics.spacing, _ERRORS * quadrics.error)
+    limit = torch.maximum(_SPACINGS * quadrics.spacing, _ERRORS * quadrics.error)
     surface = QuadricSurface.of(quadrics)
     for _ in range(_ROUNDS):
         missed = quadrics.origin - surface.project(quadrics.origin)
