@@ -164,6 +164,22 @@ def test_edges_between_few_samples_do_not_gape() -> None:
     assert sum(boundary_edges(reconstruct(cube, config)) > 0 for cube in cubes) <= 1
 
 
+def test_a_plate_less_than_two_spacings_thick_is_closed() -> None:
+    size, count = np.array([1.0, 0.7, 0.04]), 3000
+    spacing = np.sqrt(1.4 / count)  # of samples, 0.022
+    generator = np.random.default_rng(0)
+    area = np.prod(size) / size
+    axis = generator.choice(3, count, p=area / area.sum())
+    points = generator.random((count, 3)) - 0.5
+    points[np.arange(count), axis] = generator.choice([-0.5, 0.5], count)
+    config = replace(PLAIN, extract=ExtractConfig(resolution=96))
+    result = reconstruct(PointCloud(points * size), config)
+    assert boundary_edges(result) == 0
+    inner = (np.abs(result.mesh.vertices) < 0.5 * size - spacing)[:, :2].all(axis=1)
+    height = np.abs(result.mesh.vertices[inner, 2])
+    assert np.abs(height - 0.5 * size[2]).mean() < 0.03 * spacing
+
+
 def test_added_points_are_no_data_for_the_mesh() -> None:
     # where they are dense on one side of an edge only, a mesh that takes them for data ends there
     config = Config(extract=ExtractConfig(resolution=64), densify=DensifyConfig(target_points=6000))

@@ -45,6 +45,19 @@ def fit_rows(
 
 
 @compiled
+def fit_chosen_rows(
+    start: int, stop: int, samples: Array, origin: Array, distance: Array, index: Array,
+    chosen: Array, frame: Array, coefficients: Array, radius: Array, error: Array,
+) -> None:  # fmt: skip
+    """Fits quadrics start..stop to the chosen (n, k) of their nearest samples; see `fit_rows`."""
+    room = room_for(chosen.shape[1])
+    for i in range(start, stop):
+        radius[i], error[i], _ = fit_one(
+            samples, origin[i], distance[i], index[i], chosen[i], room, frame[i], coefficients[i]
+        )
+
+
+@compiled
 def room_for(k: int) -> Room:
     """What `fit_one` computes in, for up to k neighbours."""
     return (np.empty((k, 3)), np.empty(k), np.empty((3, 3)), np.empty((3, 3)), np.empty((6, 6)),

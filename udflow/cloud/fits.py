@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from udflow.cloud.fit_loops import fit_rows
+from udflow.cloud.fit_loops import fit_chosen_rows, fit_rows
 from udflow.cloud.neighbours import Neighbours, NeighbourTree
 from udflow.cloud.quadrics import (
     FALLOFF,
@@ -109,7 +109,7 @@ def by_tensors(samples: Tensor, origin: Tensor, near: Neighbours, k: int, rows: 
 
 
 def fit_chosen(samples: Tensor, near: Neighbours, origin: Tensor, chosen: Tensor) -> LocalQuadrics:
-    """Fits quadrics to some of the neighbours of each origin, with tensors.
+    """Fits quadrics to some of the neighbours of each origin.
 
     Args:
         samples: (m, 3) the data.
@@ -117,6 +117,31 @@ def fit_chosen(samples: Tensor, near: Neighbours, origin: Tensor, chosen: Tensor
         origin: (n, 3) where the quadrics are wanted.
         chosen: (n, k) bool, the neighbours to fit to.
     """
+    by = chosen_by_loop if samples.device.type == "cpu" else chosen_by_tensors
+    return by(samples, near, origin, chosen)
+
+
+def chosen_by_loop(
+    samples: Tensor, near: Neighbours, origin: Tensor, chosen: Tensor
+) -> LocalQuadrics:
+    """See `fit_chosen`, on the CPU."""
+    rows = torch.arange(len(origin))
+    result = replace(_empty(origin, near, 0, rows), count=chosen.sum(dim=1))
+    arrays = (result.frame, result.coefficients, result.radius, result.error)
+    known = (samples, origin, near.distance, near.index, chosen)
+    over_rows(
+        fit_chosen_rows,
+        len(origin),
+        *(a.contiguous().numpy() for a in known),
+        *(a.numpy() for a in arrays),
+    )
+    return result
+
+
+def chosen_by_tensors(
+    samples: Tensor, near: Neighbours, origin: Tensor, chosen: Tensor
+) -> LocalQuadrics:
+    """The same on any device."""
     counted = Neighbours(near.distance * chosen, near.index)
     return fit_weighted(samples, counted, origin, chosen.float())[0]
 

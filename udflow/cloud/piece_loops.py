@@ -38,14 +38,14 @@ def piece_rows(
     for i in range(start, stop):
         row = rows[i]
         near, limit = index[row], float(tolerance[row])
-        _weigh(distance[row], close, weight)
+        weigh(distance[row], close, weight)
         share = _share(
             row, samples, near, close, weight, limit, origin, frame, coefficients, radius
         )
         doubtful[i] = share < whole
         if not doubtful[i]:
             continue
-        _weigh(distance[row], pool, weight)
+        weigh(distance[row], pool, weight)
         chosen, own = row, _explained(row, samples, near, weight, limit, origin, frame,
                                       coefficients, radius, piece)  # fmt: skip
         best = own
@@ -67,7 +67,7 @@ def piece_rows(
 
 
 @compiled
-def _weigh(distance: Array, count: int, weight: Array) -> None:
+def weigh(distance: Array, count: int, weight: Array) -> None:
     """Fills in the weights of the nearest samples."""
     last = max(float(distance[count - 1]), 1e-12)
     for j in range(count):
@@ -76,7 +76,7 @@ def _weigh(distance: Array, count: int, weight: Array) -> None:
 
 
 @compiled
-def _off(
+def missed_by(
     quadric: int, samples: Array, sample: int, origin: Array, frame: Array, coefficients: Array,
     radius: Array,
 ) -> float:  # fmt: skip
@@ -94,7 +94,7 @@ def _share(
     """Weighted share of the nearest samples that a quadric explains, 0 if it misses the first."""
     on = total = 0.0
     for j in range(count):
-        off = _off(row, samples, near[j], origin, frame, coefficients, radius)
+        off = missed_by(row, samples, near[j], origin, frame, coefficients, radius)
         if j == 0 and off > limit:
             return 0.0
         on += weight[j] if off < limit else 0.0
@@ -110,7 +110,7 @@ def _explained(
     """How much of a neighbourhood a quadric explains, and in `piece` (k,) which samples."""
     score = 0.0
     for j in range(len(piece)):
-        off = _off(quadric, samples, near[j], origin, frame, coefficients, radius) / limit
+        off = missed_by(quadric, samples, near[j], origin, frame, coefficients, radius) / limit
         piece[j] = off < 1
         if j == 0 and not piece[0]:
             return 0.0

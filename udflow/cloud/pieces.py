@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from udflow.cloud.fits import fit_chosen
+from udflow.cloud.consensus import on_shared_planes
+from udflow.cloud.fits import chosen_by_tensors
 from udflow.cloud.neighbours import Neighbours
 from udflow.cloud.piece_loops import piece_rows
 from udflow.cloud.quadrics import LocalQuadrics, copied, heights_over, put
@@ -35,13 +36,21 @@ _FINE = 0.03  # spacings within which it always is
 
 
 def on_one_piece(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
-    """Quadrics (n) with those fitted again that run through more than one piece of surface.
+    """Quadrics (n) with those fitted again that run through more than one piece of surface: to a
+    plane that samples share, and to what a neighbour explains.
+
+    Errors are lowered to the noise: the lower quartile of held-back errors does not see the
+    creases, which are few.
 
     Args:
         quadrics: fitted to all the nearest samples, one at each site.
         sites: the same.
     """
-    tolerance = _tolerance(quadrics, sites)
+    quadrics, shared = on_shared_planes(quadrics, sites)
+    error = torch.where(shared, quadrics.error, sites.narrow.quadrics.error)
+    noise = _QUARTILE * sites.quantile(error, 0.25, _NOISE_SITES)
+    quadrics = replace(quadrics, error=torch.minimum(quadrics.error, noise))
+    tolerance = torch.maximum(_SLACK * noise, _FINE * quadrics.spacing)
     doubtful = torch.arange(len(tolerance), device=tolerance.device)
     by = by_loop if tolerance.device.type == "cpu" else by_tensors
     for _ in range(_ROUNDS):
@@ -49,16 +58,6 @@ def on_one_piece(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
         if len(doubtful) == 0:
             break
     return quadrics
-
-
-def _tolerance(quadrics: LocalQuadrics, sites: Sites) -> Tensor:
-    """(n,) distance from a quadric up to which a sample is explained by it.
-
-    The lower quartile of held-back errors does not see the creases, which are few.
-    """
-    error = sites.narrow.quadrics.error
-    noise = _QUARTILE * sites.quantile(error, 0.25, _NOISE_SITES)
-    return torch.maximum(_SLACK * noise, _FINE * quadrics.spacing)
 
 
 def by_loop(
@@ -150,7 +149,7 @@ def _refitted(quadrics: LocalQuadrics, around: _Around, hypotheses: Tensor) -> L
     better = (best > least) & (best > 0) & (piece.sum(dim=1) >= _FEWEST)
     which = around.doubtful[better]
     near = Neighbours(around.near.distance[better], around.near.index[better])
-    fitted = fit_chosen(around.samples, near, quadrics.origin[which], piece[better])
+    fitted = chosen_by_tensors(around.samples, near, quadrics.origin[which], piece[better])
     fitted = replace(fitted, error=quadrics.error[which], spacing=quadrics.spacing[which])
     result = copied(quadrics)
     put(result, which, fitted)

@@ -13,6 +13,7 @@ from udflow.errors import EmptySurface
 from udflow.fields.interface import ProjectiveField
 from udflow.mesh.band import find_band, project_in_chunks
 from udflow.mesh.cleaning import without_dust
+from udflow.mesh.coincident import without_coincident
 from udflow.mesh.crossings import find_crossings
 from udflow.mesh.draft import Draft
 from udflow.mesh.dual import DualSurface, dual_surface, triangles
@@ -71,7 +72,8 @@ def _by_edges(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh
     if len(draft.faces) > 0:
         draft = _finished(field, draft, samples, lattice.step)
     mesh = Mesh(draft.vertices, draft.faces)
-    return settled(mesh, field, lattice.step, samples.device)
+    mesh = settled(mesh, field, lattice.step, samples.device)
+    return without_coincident(mesh, lattice.step)
 
 
 def _by_cells(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh:
