@@ -43,29 +43,24 @@ def on_shared_planes(quadrics: LocalQuadrics, sites: Sites) -> tuple[LocalQuadri
         sites: the same.
     """
     tolerance = (_TOLERANCE * quadrics.spacing).clamp_min(1e-9)
-    near = _near(sites)
     by = by_loop if tolerance.device.type == "cpu" else by_tensors
-    agreed, better, piece, error = by(quadrics, sites, near, tolerance)
+    agreed, better, piece, error = by(quadrics, sites, tolerance)
     better = better & (sites.mean(agreed.float(), _VOTERS) > _VOTES)
     which = better.nonzero().squeeze(1)
     if len(which) == 0:
         return quadrics, better
-    chosen = Neighbours(near.distance[which], near.index[which])
+    near, pool = sites.near, piece.shape[1]
+    chosen = Neighbours(near.distance[which, :pool], near.index[which, :pool])
     fitted = fit_chosen(sites.samples, chosen, quadrics.origin[which], piece[which])
     result = copied(quadrics)
     put(result, which, replace(fitted, error=error[which], spacing=quadrics.spacing[which]))
     return result, better
 
 
-def _near(sites: Sites) -> Neighbours:
-    return Neighbours(sites.near.distance[:, :_POOL], sites.near.index[:, :_POOL])
-
-
-def by_loop(
-    quadrics: LocalQuadrics, sites: Sites, near: Neighbours, tolerance: Tensor
-) -> tuple[Tensor, ...]:
+def by_loop(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor) -> tuple[Tensor, ...]:
     """See `consensus_rows`: agreed, better, piece and error, on the CPU."""
-    count, pool = near.index.shape
+    near, count = sites.near, len(tolerance)
+    pool = min(_POOL, near.index.shape[1])
     agreed, better = torch.empty(count, dtype=torch.bool), torch.empty(count, dtype=torch.bool)
     piece, error = torch.empty(count, pool, dtype=torch.bool), torch.empty(count)
     limits = (_CORNERS, _FEWEST, _MOST, _ANGLE, _SHARE, _BROAD, _GAIN)
@@ -77,10 +72,9 @@ def by_loop(
     return found
 
 
-def by_tensors(
-    quadrics: LocalQuadrics, sites: Sites, near: Neighbours, tolerance: Tensor
-) -> tuple[Tensor, ...]:
+def by_tensors(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor) -> tuple[Tensor, ...]:
     """The same on any device."""
+    near = Neighbours(sites.near.distance[:, :_POOL], sites.near.index[:, :_POOL])
     offset = sites.samples[near.index] - quadrics.origin[:, None]
     weights = torch.exp(-(near.distance / near.distance[:, -1:].clamp_min(1e-12)).square())
     limit = tolerance[:, None]

@@ -74,7 +74,7 @@ def by_loop(
     Returns:
         The quadrics with some fitted again, and which of the rows were in doubt.
     """
-    near, around = sites.near, sites.around(_HYPOTHESES).index
+    near, around = sites.near, sites.around(_HYPOTHESES)
     width = near.index.shape[1]
     limits = (min(_CLOSE, width), min(_POOL, width), min(_HYPOTHESES, around.shape[1]),
               _WHOLE, _GAIN, _FEWEST)  # fmt: skip
@@ -94,7 +94,7 @@ def by_tensors(
     """The same on any device."""
     doubtful = rows[_in_doubt(quadrics, sites, tolerance, rows)]
     around = _Around.of(sites, doubtful, tolerance)
-    index = sites.around(_HYPOTHESES).index[doubtful, :_HYPOTHESES]
+    index = sites.around(_HYPOTHESES)[doubtful, :_HYPOTHESES]
     return _refitted(quadrics, around, index), doubtful
 
 

@@ -29,18 +29,26 @@ class Sites:
         self.origin, self.samples, self.tree = origin, samples, tree
         self._are_samples = origin is samples
         self._tree = tree if self._are_samples else NeighbourTree(origin)
-        self._around: Neighbours | None = None
+        self._around: Tensor | None = None  # without distances, which nobody asks for
+        self._near: Neighbours | None = None
 
-    def around(self, k: int) -> Neighbours:
-        """The nearest sites of each, k or more; all, if there are fewer."""
-        if self._around is None or self._around.index.shape[1] < min(k, self._tree.size):
-            self._around = self._tree.nearest(self.origin, k)
+    def around(self, k: int) -> Tensor:
+        """(n, k or more) int64 the nearest sites of each; all, if there are fewer."""
+        if self._around is None or self._around.shape[1] < min(k, self._tree.size):
+            found = self._tree.nearest(self.origin, k)
+            self._around = found.index
+            if self._are_samples:
+                self._near = found
         return self._around
 
-    @cached_property
+    @property
     def near(self) -> Neighbours:
         """The nearest samples of each site, `NEAR` or more; all, if there are fewer."""
-        return self.around(NEAR) if self._are_samples else self.tree.nearest(self.origin, NEAR)
+        if self._are_samples:
+            self.around(NEAR)
+        if self._near is None:
+            self._near = self.tree.nearest(self.origin, NEAR)
+        return self._near
 
     @cached_property
     def narrow(self) -> Fits:
@@ -56,7 +64,7 @@ class Sites:
         return self._sum_up(values, k, None, share)
 
     def _sum_up(self, values: Tensor, k: int, rows: Tensor | None, share: float) -> Tensor:
-        around = self.around(k).index
+        around = self.around(k)
         if rows is None:
             rows = torch.arange(len(around), device=around.device)
         by = sum_up_by_loop if values.device.type == "cpu" else sum_up_by_tensors

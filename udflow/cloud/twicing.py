@@ -64,8 +64,8 @@ def _averaged(
 ) -> tuple[Tensor, Tensor]:
     """Means of heights around some sites, over as many as their quadrics were fitted to samples,
     on the same piece of surface; and the sums of squares of their weights."""
-    near, normal = sites.around(_AROUND), quadrics.frame[:, 2]
-    index, distance = near.index[rows], near.distance[rows]
+    index, normal = sites.around(_AROUND)[rows], quadrics.frame[:, 2]
+    distance = (quadrics.origin[index] - quadrics.origin[rows, None]).norm(dim=2)
     last = quadrics.count[rows, None].clamp_max(index.shape[1]) - 1
     cosine = (normal[index] * normal[rows, None]).sum(dim=2)
     weight = torch.exp(-FALLOFF * (distance / distance.gather(1, last)).square())

@@ -94,9 +94,9 @@ def test_loops_find_what_the_tensor_code_finds(sigma: float) -> None:
     samples = plate(SPACING, sigma * SPACING)
     where = around(samples)
     quadrics = fit_quadrics(where)
-    near, tolerance = consensus._near(where), 0.05 * quadrics.spacing
-    one = consensus.by_loop(quadrics, where, near, tolerance)
-    two = consensus.by_tensors(quadrics, where, near, tolerance)
+    tolerance = 0.05 * quadrics.spacing
+    one = consensus.by_loop(quadrics, where, tolerance)
+    two = consensus.by_tensors(quadrics, where, tolerance)
     for mine, other in zip(one[:2], two[:2], strict=True):
         assert float((mine != other).float().mean()) < 0.003
     both = one[0] & two[0]

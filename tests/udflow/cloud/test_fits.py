@@ -135,10 +135,10 @@ def test_what_lies_near_is_looked_up_once() -> None:
     samples = SAMPLES["smooth"]
     where = around(samples)
     assert where.around(50) is where.around(20)
-    assert where.near is where.around(40)
+    assert where.near.index is where.around(40)
     apart = Sites(samples[::2].contiguous(), samples, NeighbourTree(samples))
     assert apart.near.index.shape == (1500, 40)
-    assert int(apart.near.index.max()) > 1500 > int(apart.around(40).index.max())
+    assert int(apart.near.index.max()) > 1500 > int(apart.around(40).max())
 
 
 def test_neighbours_that_are_kept_are_those_that_are_looked_up(
