@@ -32,16 +32,21 @@ from scipy.spatial import cKDTree
 from udflow import reconstruct as method
 from udflow.cloud.point_cloud import PointCloud
 from udflow.config import from_dict
+from udflow.fields.unsigned import UnsignedDistanceField
 from udflow.mesh.mesh import Mesh
 from udflow.metrics.distances import MeshDistance
 from udflow.metrics.surface import bounds, sample
 
 Array = NDArray[np.float64]
 BAND = 0.01  # of the largest extent, to both sides of the surface
-CHECKED = 20_000  # queries compared with the exact distance to the ground truth
+WIDE = 3.0  # extents: edge of the widest box that is asked
+CHECKED = 5_000  # queries compared with the exact distance to the ground truth
+TURNED = 1_000  # of them whose gradients are compared
+STEP = 1e-5  # extents, of the differences that give the exact gradients
+MEDIAL = 0.99  # length of such a gradient below which the query lies on the medial axis
 HEADER = (
     "shape", "where", "field, queries/s", "KD-tree, queries/s", "ratio",
-    "field error mean / 99 %", "KD-tree error mean / 99 %",
+    "field error mean / 99 %", "KD-tree error mean / 99 %", "gradient off, median degrees",
 )  # fmt: skip
 
 
@@ -60,17 +65,19 @@ def main() -> None:
     if options.save:
         text = (
             "# Distance queries\n\nErrors against exact distances to the ground truth, in 1e-3 of "
-            f"its largest extent. In the band: within {BAND} of the surface. Outside: anywhere in "
-            f"the bounding box. Best of {options.repeats} runs.\n\n{table}\n"
+            f"its largest extent. In the band: within {BAND} of the surface. In the box: anywhere "
+            f"in the bounding box. Wide: anywhere in a cube of {WIDE:.0f} extents. Gradients "
+            "against differences of exact distances, but where two places of the surface are "
+            f"equally near. Best of {options.repeats} runs.\n\n{table}\n"
             f"{provenance_line(origin)}\n"
         )
         save("udf_queries", {**origin, "rows": rows}, text)
 
 
 def timed(name: str, truth: Mesh, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Two rows: queries in the band and anywhere in the box."""
+    """Three rows: queries in the band, anywhere in the box, and anywhere around it."""
     scan = scan_of(truth, options.points, 0.0, options.seed)
-    config = from_dict({"seed": options.seed, "extract": {"resolution": 32}})
+    config = from_dict({"seed": options.seed})
     field = method.reconstruct(PointCloud(scan), config, device=options.device).field
     tree, exact = cKDTree(scan), MeshDistance(truth)
     extent = bounds(truth)[1]
@@ -88,6 +95,7 @@ def timed(name: str, truth: Mesh, options: argparse.Namespace) -> list[dict[str,
                 "ratio": tree_s / field_s,
                 "field_error": _errors(by_field[:CHECKED], true, extent),
                 "kd_tree_error": _errors(by_tree[:CHECKED], true, extent),
+                "gradient_degrees": _turned(field, exact, queries[:TURNED], extent),
             }
         )
     return rows
@@ -101,6 +109,8 @@ def _queries(truth: Mesh, extent: float, options: argparse.Namespace) -> dict[st
     return {
         "in the band": near.points + offset * near.normals,
         "in the box": generator.uniform(low, high, (options.queries, 3)),
+        "wide": 0.5 * (low + high)
+        + generator.uniform(-0.5, 0.5, (options.queries, 3)) * WIDE * extent,
     }
 
 
@@ -112,6 +122,20 @@ def _best(run: Callable[[], Array], repeats: int) -> tuple[Array, float]:
         answer = run()
         seconds.append(time.perf_counter() - start)
     return answer, min(seconds)
+
+
+def _turned(
+    field: UnsignedDistanceField, exact: MeshDistance, queries: Array, extent: float
+) -> float:
+    """The median angle between the field's gradients and exact ones, degrees."""
+    steps = STEP * extent * np.eye(3)
+    true = np.stack([exact(queries + h) - exact(queries - h) for h in steps], axis=1)
+    true /= 2 * STEP * extent
+    length = np.linalg.norm(true, axis=1)
+    clear = length > MEDIAL
+    found = field.query(queries[clear]).gradient
+    cosine = np.einsum("ij,ij->i", found, true[clear] / length[clear, None])
+    return float(np.median(np.degrees(np.arccos(cosine.clip(-1, 1)))))
 
 
 def _errors(found: Array, true: Array, extent: float) -> dict[str, float]:
@@ -127,6 +151,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
         f"{row['kd_tree_per_s']:,}",
         f"{row['ratio']:.2f}",
         *(f"{row[e]['mean']:.3f} / {row[e]['p99']:.3f}" for e in ("field_error", "kd_tree_error")),
+        f"{row['gradient_degrees']:.2f}",
     ]
 
 
@@ -135,7 +160,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, default=DATA, help="folder with closed, cad, ...")
     parser.add_argument("--shapes", nargs="+", default=["spot"], metavar="NAME")
     parser.add_argument("--points", type=int, default=30_000)
-    parser.add_argument("--queries", type=int, default=1_000_000)
+    parser.add_argument("--queries", type=int, default=300_000)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--seed", type=int, default=0)
