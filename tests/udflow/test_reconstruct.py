@@ -17,6 +17,7 @@ from udflow.cloud.point_cloud import PointCloud
 from udflow.config import Config, DensifyConfig, ExtractConfig, FlowConfig, SplineConfig, to_dict
 from udflow.errors import EmptySurface, InvalidCloud
 from udflow.fields.storage import field_to_bytes
+from udflow.metrics.topology import boundary, topology
 from udflow.progress import STAGES, Progress
 from udflow.reconstruct import Reconstruction, reconstruct, reconstruct_steps
 
@@ -178,6 +179,24 @@ def test_a_plate_less_than_two_spacings_thick_is_closed() -> None:
     inner = (np.abs(result.mesh.vertices) < 0.5 * size - spacing)[:, :2].all(axis=1)
     height = np.abs(result.mesh.vertices[inner, 2])
     assert np.abs(height - 0.5 * size[2]).mean() < 0.03 * spacing
+
+
+def test_a_window_is_as_wide_as_its_samples_say() -> None:
+    count, radius = 4000, 0.06  # 3.9 spacings
+    points = np.random.default_rng(1).random((count, 3)) - 0.5
+    points[:, 2] = 0.1 * np.sin(3 * points[:, 0])
+    centres = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])
+    apart = np.linalg.norm(points[:, None, :2] - centres, axis=2)
+    points = points[(apart > radius).all(axis=1)]
+    config = replace(PLAIN, extract=ExtractConfig(resolution=96))
+    mesh = reconstruct(PointCloud(points), config).mesh
+    found = topology(mesh)
+    assert (found.boundary_loops, found.components, found.euler_number) == (5, 1, -3)
+    rim = mesh.vertices[np.unique(boundary(mesh)), :2]
+    away = np.linalg.norm(rim[:, None] - centres, axis=2).min(axis=1)
+    assert abs(away[away < 0.15].mean() - radius) < 0.005
+    outer = np.abs(rim[away > 0.15]).max(axis=1)
+    assert abs(outer.mean() - 0.5) < 0.005
 
 
 def test_added_points_are_no_data_for_the_mesh() -> None:

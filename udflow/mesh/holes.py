@@ -10,14 +10,11 @@ from scipy.spatial import cKDTree
 
 from udflow.mesh.draft import Draft, Project
 from udflow.mesh.filling import LONGEST, least_filling
-from udflow.mesh.support import SampleSet, support_at
+from udflow.mesh.support import SampleSet
 from udflow.mesh.topology import face_normals, parts, side_ends
-from udflow.mesh.trim import SMALLEST_HOLE
+from udflow.mesh.trim import SMALLEST_HOLE, SURE_GAP
 
-LARGEST = 60.0  # squared spacings that may be closed where the data goes on
-DATA_GOES_ON = -0.4  # mean overshoot around such a hole, in spacings; around true ones > -0.1
-BY_CHANCE = 10.0  # squared spacings: no wider are gaps among samples at random, ln n of n samples
-GAP_BY_CHANCE = -0.2  # mean overshoot around one that may be such a gap
+LARGEST = 60.0  # squared spacings that may be closed
 COVERED = 0.2  # part of the samples due on a patch that show it to be surface,
 CHANCE = 2  # and samples of the rim that may seem to lie on it
 FLAT = 0.0  # cosine between neighbouring faces of a patch below which another one is tried
@@ -122,18 +119,33 @@ def _failures(
     draft: Draft, loops: list[Loop], patches: list[_Patch], samples: SampleSet
 ) -> list[bool]:
     """Which of the loops are failures of extraction."""
-    every = np.concatenate([loop.vertices for loop in loops])
-    found = support_at(samples, draft.vertices, draft.faces, every)
-    loop_of = np.repeat(np.arange(len(loops)), [len(loop) for loop in loops])
-    beyond = np.bincount(loop_of, found.overshoot) / np.bincount(loop_of)
-    spacing = np.bincount(loop_of, found.spacing) / np.bincount(loop_of)
+    spacing = np.array([_spacing(draft, loop, samples) for loop in loops])
     area = np.array([_area(draft, *pair) for pair in zip(loops, patches, strict=True)])
     due = area / spacing**2
-    count = _samples_on(draft, loops, patches, samples)
-    goes_on = (beyond < DATA_GOES_ON) | (count > CHANCE + COVERED * due)
-    gap = (due <= SMALLEST_HOLE) | ((due <= BY_CHANCE) & (beyond < GAP_BY_CHANCE))
-    false = gap | ((due <= LARGEST) & goes_on)
+    wide = _gaps(draft, loops, patches, samples) > SURE_GAP * spacing
+    covered = _samples_on(draft, loops, patches, samples) > CHANCE + COVERED * due
+    false = (due <= SMALLEST_HOLE) | ((due <= LARGEST) & (~wide | covered))
     return [bool(wrong) for wrong in false]
+
+
+def _spacing(draft: Draft, loop: Loop, samples: SampleSet) -> float:
+    """Of the samples along a loop."""
+    nearest = samples.tree.query(draft.vertices[loop.vertices])[1]
+    return float(np.median(samples.around[nearest]))
+
+
+def _gaps(
+    draft: Draft, loops: list[Loop], patches: list[_Patch], samples: SampleSet
+) -> NDArray[np.float64]:
+    """(n,) how far the centres of the faces of each patch are from all samples, at most."""
+    places = [
+        np.concatenate([draft.vertices[loop.vertices], patch.points])[patch.faces].mean(axis=1)
+        for loop, patch in zip(loops, patches, strict=True)
+    ]
+    of = np.repeat(np.arange(len(patches)), [len(some) for some in places])
+    result = np.zeros(len(patches))
+    np.maximum.at(result, of, samples.tree.query(np.concatenate(places), workers=2)[0])
+    return result
 
 
 def _area(draft: Draft, loop: Loop, patch: _Patch) -> float:

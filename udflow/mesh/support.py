@@ -9,6 +9,7 @@ is about 0 on it, and on a random sample of a closed surface stays below 0 but f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from udflow.mesh.topology import face_normals, vertex_normals, with_any
 NEIGHBOURS = (8, 16, 24)
 # Overshoot that counts as the end of the data for each number of neighbours: few neighbours see
 # narrow holes but are noisy, many place a rim well.
-ALLOWED = (0.6, 0.3, 0.05)
+ALLOWED = (1.0, 0.6, 0.35)
 ALLOWED_GAP = 1.6  # spacings to the nearest sample: inside a hole samples lie on all sides
 _COARSE = 1.0  # spacings a side: clusters of vertices that are looked at together at first
 _SAFE = -0.8  # overshoot of one vertex below which its cluster is surely supported
@@ -41,6 +42,15 @@ class SampleSet:
     tree: cKDTree
     spacing: float
 
+    @cached_property
+    def around(self) -> Points:
+        """(m,) distance of neighbouring points around each, from the circle that holds as many as
+        are ever asked for."""
+        count = min(NEIGHBOURS[-1] + 1, len(self.points))
+        radius = self.tree.query(self.points, k=[count], workers=2)[0][:, 0]
+        spacing: Points = np.maximum(radius * np.sqrt(np.pi / count), 1e-12)
+        return spacing
+
     @classmethod
     def of(cls, samples: Points, voxel: float) -> SampleSet:
         """The set of (n, 3) samples, one for each occupied cube as wide as a voxel."""
@@ -58,10 +68,12 @@ class Support:
     Attributes:
         overshoot: (v,) how far it lies beyond the samples, in spacings; above 0 the data has
             ended.
+        gap: (v,) distance to the nearest sample, in spacings, 0 where it was not measured.
         spacing: (v,) local distance of neighbouring samples, 0 where it was not measured.
     """
 
     overshoot: Points
+    gap: Points
     spacing: Points
 
 
@@ -79,13 +91,14 @@ def support(samples: SampleSet, vertices: Points, faces: NDArray[np.int64]) -> S
     any_face = np.zeros(len(vertices), dtype=np.int64)
     any_face[faces] = np.arange(len(faces))[:, None]
     normals = _unit(face_normals(vertices, faces[any_face[leader]]))
-    rough = _measured(samples.tree, vertices[leader], normals, NEIGHBOURS[1:2], (0.0,))
+    rough = _measured(samples, vertices[leader], normals, NEIGHBOURS[1:2], (0.0,))
 
-    beyond, local = rough.overshoot[cluster], np.zeros(len(vertices))
+    beyond = rough.overshoot[cluster]
+    gap, local = np.zeros(len(vertices)), np.zeros(len(vertices))
     close = np.flatnonzero(beyond > _SAFE)
     fine = support_at(samples, vertices, faces, close)
-    beyond[close], local[close] = fine.overshoot, fine.spacing
-    return Support(beyond, local)
+    beyond[close], gap[close], local[close] = fine.overshoot, fine.gap, fine.spacing
+    return Support(beyond, gap, local)
 
 
 def support_at(
@@ -95,7 +108,7 @@ def support_at(
     around = np.zeros(len(vertices), dtype=bool)
     around[chosen] = True
     normals = vertex_normals(vertices, faces[with_any(faces, around)])[chosen]
-    return _measured(samples.tree, vertices[chosen], normals, NEIGHBOURS, ALLOWED)
+    return _measured(samples, vertices[chosen], normals, NEIGHBOURS, ALLOWED)
 
 
 def _unit(vectors: Points) -> Points:
@@ -104,28 +117,32 @@ def _unit(vectors: Points) -> Points:
 
 
 def _measured(
-    tree: cKDTree,
+    samples: SampleSet,
     points: Points,
     normals: Points,
     counts: tuple[int, ...],
     allowed: tuple[float, ...],
 ) -> Support:
-    """The largest excess over what is allowed, for several numbers of neighbours."""
-    most = min(counts[-1], tree.n)
+    """The largest excess over what is allowed, for several numbers of neighbours.
+
+    The spacing is that of the samples: around a point inside a hole there are none.
+    """
+    most = min(counts[-1], samples.tree.n)
     if len(points) == 0:
-        return Support(np.zeros(0), np.zeros(0))
-    distance, index = tree.query(points, k=np.arange(1, most + 1), workers=2)
-    spacing = np.maximum(distance[:, -1] * np.sqrt(np.pi / most), 1e-12)
-    offset = tree.data[index] - points[:, None]
+        return Support(np.zeros(0), np.zeros(0), np.zeros(0))
+    distance, index = samples.tree.query(points, k=np.arange(1, most + 1), workers=2)
+    spacing = np.median(samples.around[index], axis=1)
+    gap = distance[:, 0] / spacing
+    offset = samples.points[index] - points[:, None]
     offset -= np.einsum("nki,ni->nk", offset, normals)[..., None] * normals[:, None]
-    result = distance[:, 0] / spacing - ALLOWED_GAP
+    result = gap - ALLOWED_GAP
     for count, limit in zip(counts, allowed, strict=True):
         near = offset[:, :count]
         away = -near.mean(axis=1)
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
         beyond = -np.einsum("nki,ni->nk", near, away).max(axis=1)
         np.maximum(result, beyond / spacing - limit, out=result)
-    return Support(result, spacing)
+    return Support(result, gap, spacing)
 
 
 def first_of_cluster(points: Points, width: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

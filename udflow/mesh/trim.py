@@ -7,16 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from udflow.mesh.draft import Draft, Project
-from udflow.mesh.support import SampleSet, Support, support
+from udflow.mesh.support import ALLOWED_GAP, SampleSet, Support, first_of_cluster, support
 from udflow.mesh.topology import face_normals, parts, side_pairs, with_any
 
 SEED = 0.25  # spacings beyond the data that a region must reach to be cut
 SMALLEST_HOLE = 3.0  # squared spacings: smaller gaps inside a surface are chance, not holes
+SURE_GAP = 2.0  # spacings to the nearest sample that random samples leave nowhere
 MOST_PASSES = 40
 _KEPT = -0.5  # overshoot given to islands that stay
 _NEAR = -1.0  # overshoot above which faces take part
+_STRIDE = 0.5  # spacings between the balls that a hole is filled with
+_RIM = 0.45  # spacings between a rim and the samples at it
 _SNAP = 0.25  # a cut nearer to a vertex than this part of an edge moves the vertex instead
 
 
@@ -34,7 +38,7 @@ def trimmed(draft: Draft, samples: SampleSet, voxel: float, project: Project) ->
     """
     found = support(samples, draft.vertices, draft.faces)
     near = draft.faces[with_any(draft.faces, found.overshoot > _NEAR)]
-    beyond = _without_islands(draft, near, found)
+    beyond = _opened(draft.vertices, _without_islands(draft, near, found), found)
     if not (beyond > 0).any():
         return draft
     draft, moved = cut(draft, _smoothed(near, beyond, _passes(samples.spacing / voxel)))
@@ -63,9 +67,35 @@ def _without_islands(draft: Draft, faces: NDArray[np.int64], found: Support) -> 
     sixth = np.repeat(np.linalg.norm(face_normals(draft.vertices, faces), axis=1) / 6, 3)
     area = np.bincount(faces.reshape(-1), sixth, minlength=len(beyond))[inside]
     size = np.bincount(region, area / np.maximum(found.spacing[inside], 1e-12) ** 2, count)
-    goes = (peak > SEED) & (at_border | (size > SMALLEST_HOLE))
+    deepest = np.zeros(count)
+    np.maximum.at(deepest, region, found.gap[inside])
+    goes = (peak > SEED) & (at_border | (size > SMALLEST_HOLE) | (deepest > SURE_GAP))
     beyond[inside[~goes[region]]] = _KEPT
     return beyond
+
+
+def _opened(
+    vertices: NDArray[np.float64], beyond: NDArray[np.float64], found: Support
+) -> NDArray[np.float64]:
+    """The overshoot, raised in all of the holes that go: up to the samples around them.
+
+    Inside a hole samples lie on all sides, so that only its middle is seen to lie beyond the data.
+    From there it reaches as far as balls without samples do.
+    """
+    middle = np.flatnonzero((beyond > 0) & (found.gap > ALLOWED_GAP))
+    if len(middle) == 0:
+        return beyond
+    depth = (found.gap * found.spacing)[middle]
+    order = middle[np.argsort(-depth, kind="stable")]
+    deepest = order[first_of_cluster(vertices[order], _STRIDE * found.spacing[middle].min())[0]]
+    depth = (found.gap * found.spacing)[deepest]
+    balls = cKDTree(vertices).query_ball_point(vertices[deepest], depth, workers=2)
+    of = np.repeat(np.arange(len(deepest)), [len(ball) for ball in balls])
+    inside = np.concatenate([np.asarray(ball, dtype=np.int64) for ball in balls])
+    way = np.linalg.norm(vertices[inside] - vertices[deepest[of]], axis=1)
+    raised = beyond.copy()
+    np.maximum.at(raised, inside, (depth[of] - way) / found.spacing[deepest[of]] - _RIM)
+    return raised
 
 
 def _passes(edges_per_spacing: float) -> int:
