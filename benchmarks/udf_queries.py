@@ -35,7 +35,7 @@ from udflow.config import from_dict
 from udflow.fields.unsigned import UnsignedDistanceField
 from udflow.mesh.mesh import Mesh
 from udflow.metrics.distances import MeshDistance
-from udflow.metrics.surface import bounds, sample
+from udflow.metrics.surface import Samples, bounds, sample
 
 Array = NDArray[np.float64]
 BAND = 0.01  # of the largest extent, to both sides of the surface
@@ -46,7 +46,7 @@ STEP = 1e-5  # extents, of the differences that give the exact gradients
 MEDIAL = 0.99  # length of such a gradient below which the query lies on the medial axis
 HEADER = (
     "shape", "where", "field, queries/s", "KD-tree, queries/s", "ratio",
-    "field error mean / 99 %", "KD-tree error mean / 99 %", "gradient off, median degrees",
+    "field error mean / 99 %", "KD-tree error mean / 99 %", "gradient off, median degrees (floor)",
 )  # fmt: skip
 
 
@@ -68,7 +68,8 @@ def main() -> None:
             f"its largest extent. In the band: within {BAND} of the surface. In the box: anywhere "
             f"in the bounding box. Wide: anywhere in a cube of {WIDE:.0f} extents. Gradients "
             "against differences of exact distances, but where two places of the surface are "
-            f"equally near. Best of {options.repeats} runs.\n\n{table}\n"
+            "equally near; their floor is the true normal at the nearest of as many samples. "
+            f"Best of {options.repeats} runs.\n\n{table}\n"
             f"{provenance_line(origin)}\n"
         )
         save("udf_queries", {**origin, "rows": rows}, text)
@@ -81,11 +82,13 @@ def timed(name: str, truth: Mesh, options: argparse.Namespace) -> list[dict[str,
     field = method.reconstruct(PointCloud(scan), config, device=options.device).field
     tree, exact = cKDTree(scan), MeshDistance(truth)
     extent = bounds(truth)[1]
+    known = sample(truth, options.points, np.random.default_rng([options.seed, 2]))
     rows = []
     for where, queries in _queries(truth, extent, options).items():
         by_field, field_s = _best(lambda q=queries: field.query(q).distance, options.repeats)
         by_tree, tree_s = _best(lambda q=queries: tree.query(q, workers=-1)[0], options.repeats)
         true = exact(queries[:CHECKED])
+        off, floor = _turned(field, exact, queries[:TURNED], extent, known)
         rows.append(
             {
                 "shape": name,
@@ -95,7 +98,8 @@ def timed(name: str, truth: Mesh, options: argparse.Namespace) -> list[dict[str,
                 "ratio": tree_s / field_s,
                 "field_error": _errors(by_field[:CHECKED], true, extent),
                 "kd_tree_error": _errors(by_tree[:CHECKED], true, extent),
-                "gradient_degrees": _turned(field, exact, queries[:TURNED], extent),
+                "gradient_degrees": off,
+                "gradient_floor": floor if where == "in the band" else None,
             }
         )
     return rows
@@ -125,16 +129,27 @@ def _best(run: Callable[[], Array], repeats: int) -> tuple[Array, float]:
 
 
 def _turned(
-    field: UnsignedDistanceField, exact: MeshDistance, queries: Array, extent: float
-) -> float:
-    """The median angle between the field's gradients and exact ones, degrees."""
+    field: UnsignedDistanceField,
+    exact: MeshDistance,
+    queries: Array,
+    extent: float,
+    known: Samples,
+) -> tuple[float, float]:
+    """The median angles between exact gradients and the field's, and between them and the normals
+    of the nearest known samples, degrees."""
     steps = STEP * extent * np.eye(3)
     true = np.stack([exact(queries + h) - exact(queries - h) for h in steps], axis=1)
     true /= 2 * STEP * extent
     length = np.linalg.norm(true, axis=1)
     clear = length > MEDIAL
-    found = field.query(queries[clear]).gradient
-    cosine = np.einsum("ij,ij->i", found, true[clear] / length[clear, None])
+    exactly = true[clear] / length[clear, None]
+    nearest = cKDTree(known.points).query(queries[clear])[1]
+    cosine = np.einsum("ij,ij->i", field.query(queries[clear]).gradient, exactly)
+    floor = np.abs(np.einsum("ij,ij->i", known.normals[nearest], exactly))
+    return _median_degrees(cosine), _median_degrees(floor)
+
+
+def _median_degrees(cosine: Array) -> float:
     return float(np.median(np.degrees(np.arccos(cosine.clip(-1, 1)))))
 
 
@@ -151,8 +166,12 @@ def _cells(row: dict[str, Any]) -> list[str]:
         f"{row['kd_tree_per_s']:,}",
         f"{row['ratio']:.2f}",
         *(f"{row[e]['mean']:.3f} / {row[e]['p99']:.3f}" for e in ("field_error", "kd_tree_error")),
-        f"{row['gradient_degrees']:.2f}",
+        _with_floor(row["gradient_degrees"], row["gradient_floor"]),
     ]
+
+
+def _with_floor(degrees: float, floor: float | None) -> str:
+    return f"{degrees:.2f}" if floor is None else f"{degrees:.2f} ({floor:.2f})"
 
 
 def _options() -> argparse.Namespace:

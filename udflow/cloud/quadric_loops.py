@@ -15,7 +15,7 @@ from udflow.compiled import Array, compiled
 def project_rows(
     start: int, stop: int, points: Array, index: Array, distance: Array,
     origin: Array, frame: Array, coefficients: Array, radius: Array, spacing: Array,
-    reach: float, result: Array,
+    limits: tuple[float, float, float], result: Array,
 ) -> None:  # fmt: skip
     """Feet of queries start..stop.
 
@@ -25,9 +25,11 @@ def project_rows(
         index: (n, c) the nearest quadrics, nearest site first.
         distance: (n, c) of their sites.
         origin, frame, coefficients, radius, spacing: of all quadrics, as in `LocalQuadrics`.
-        reach: spacings from the nearest site beyond which there is no foot.
+        limits: spacings from the nearest site beyond which there is no foot, for queries near it
+            and for those far away; and spacings up to which they are near.
         result: (n, 3), filled in.
     """
+    near_reach, far_reach, until = limits
     count = index.shape[1]
     feet, share = np.empty((count, 3)), np.empty(count)
     of_foot, of_site = np.empty((count, count)), np.empty((count, count))
@@ -52,6 +54,8 @@ def project_rows(
             foot = blended(feet, row_of(feet, 0), share, length)
         site = row_of(origin, near[0])
         offset = minus(foot, site)
+        nearness = min(1.0, until * length / max(float(distance[row, 0]), 1e-18))
+        reach = far_reach + (near_reach - far_reach) * nearness * nearness
         shrink = min(1.0, reach * length / max(norm(offset), 1e-18))
         for i in range(3):
             result[row, i] = site[i] + shrink * offset[i]

@@ -16,6 +16,10 @@ from udflow.compiled import over_rows
 _BLEND = 6  # quadrics that share in a foot
 UNWIDENED = 16  # neighbours up to which a quadric was not widened against noise
 _REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
+# Far away the nearest site lies beside the foot, but where the surface ends: there a foot farther
+# out would be one beyond a rim or a crease.
+_FAR_REACH = 0.3
+_FROM = 3.0  # spacings from its site up to which a query is near it
 _CHUNK = 1 << 15
 
 
@@ -66,7 +70,8 @@ class QuadricSurface:
         arrays = (points, near.index, near.distance, quadrics.origin, quadrics.frame,
                   quadrics.coefficients, quadrics.radius, quadrics.spacing)  # fmt: skip
         ready = [array.contiguous().numpy() for array in arrays]
-        over_rows(project_rows, len(points), *ready, _REACH, feet.numpy())
+        limits = _REACH, _FAR_REACH, _FROM
+        over_rows(project_rows, len(points), *ready, limits, feet.numpy())
         return feet
 
     def by_tensors(self, points: Tensor, near: Neighbours) -> Tensor:
@@ -88,8 +93,10 @@ class QuadricSurface:
         creased = candidates.creased()
         if len(creased) > 0:
             foot[creased] = feet_at_creases(self.quadrics, candidates[creased])
-        nearest = candidates.origins[:, 0]
-        return nearest + _limited(foot - nearest, _REACH * candidates.spacing)
+        nearest, spacing = candidates.origins[:, 0], candidates.spacing
+        nearness = (_FROM * spacing / first[:, 0].clamp_min(1e-18)).clamp_max(1.0)
+        reach = _FAR_REACH + (_REACH - _FAR_REACH) * nearness.square()
+        return nearest + _limited(foot - nearest, reach * spacing)
 
 
 def _limited(offset: Tensor, limit: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from udflow.fields.interface import FittedField
 
 _CHUNK = 1 << 18
 _SAME = 0.2  # spacings that a fitted field and quadrics may differ by where both are right
+_WIDEST = 8.0  # half edges from the centre: farther away all sites are as near in single precision
 _PLACE = 0.04  # unit lengths: queries in one cube of this size are answered one after the other
 
 
@@ -27,8 +28,9 @@ class FieldAnswer:
         distance: (n,) float64, >= 0.
         gradient: (n, 3) float32 unit vectors pointing away from the surface; zero on it.
         closest: (n, 3) float64 points of the surface.
-        valid: (n,) bool, whether the query lies in the trained box. Outside it the answer is the
-            distance to the foot of the nearest point of the box, plus the way there.
+        valid: (n,) bool, whether the query lies in the trained box. Outside it the nearest quadric
+            answers; beyond eight times the box the foot is that of the nearest point of those
+            eight boxes, right to a thousandth of the distance.
     """
 
     distance: NDArray[np.float64]
@@ -116,9 +118,10 @@ class UnsignedDistanceField:
 
     def _query(self, points: NDArray[np.float64]) -> FieldAnswer:
         device = self.surface.quadrics.origin.device
-        low, high = self.low, self.high
-        valid: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
-        unit = torch.from_numpy(self.normalisation.to_unit(np.clip(points, low, high)))
+        valid: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
+        centre, reach = np.asarray(self.normalisation.centre), _WIDEST * self._half_edge()
+        clipped = np.clip(points, centre - reach, centre + reach)
+        unit = torch.from_numpy(self.normalisation.to_unit(clipped))
         with torch.inference_mode():
             order = _by_place(unit)
             feet = torch.empty_like(unit)

@@ -39,7 +39,7 @@ def test_far_away_feet_are_still_on_the_surface() -> None:
     generator = torch.Generator().manual_seed(4)
     points = 4 * (torch.rand(2000, 3, generator=generator) - 0.5)
     distance = (points - surface.project(points)).norm(dim=1)
-    torch.testing.assert_close(distance, Sphere().distance(points), rtol=0, atol=3e-3)
+    torch.testing.assert_close(distance, Sphere().distance(points), rtol=0, atol=4e-3)
 
 
 def test_another_sheet_does_not_pull() -> None:

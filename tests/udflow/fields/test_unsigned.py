@@ -10,6 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from udflow.cloud.normalisation import Normalisation
+from udflow.cloud.point_cloud import PointCloud
+from udflow.config import from_dict
 from udflow.errors import InvalidQuery
 from udflow.fields.mlp import MLPField
 from udflow.fields.network import Network, started
@@ -17,7 +19,9 @@ from udflow.fields.spline import SplineLevel
 from udflow.fields.unsigned import FieldAnswer, SurfaceField, UnsignedDistanceField
 from udflow.flow.schedule import TimeSchedule
 from udflow.neural_config import NetworkConfig
+from udflow.reconstruct import reconstruct
 
+SMALL = from_dict({"extract": {"resolution": 64}})
 RADIUS = 125.0
 REACHED = 0.003 * 250  # largest error of this small fit
 
@@ -96,9 +100,20 @@ def test_outside_the_box_answers_say_so_and_stay_sensible(
     answer = sphere_field.query(points)
     assert answer.valid.tolist() == [True, False, False, False]
     exact = np.linalg.norm(points - centre, axis=1) - RADIUS
-    np.testing.assert_allclose(answer.distance, exact, rtol=0.02)
-    at_the_box = np.clip(points, sphere_field.low, sphere_field.high)
-    np.testing.assert_array_equal(answer.closest, sphere_field.query(at_the_box).closest)
+    np.testing.assert_allclose(answer.distance, exact, rtol=0.005)
+    on_sphere = np.linalg.norm(answer.closest - centre, axis=1)
+    np.testing.assert_allclose(on_sphere, RADIUS, rtol=0.005)
+
+
+def test_beyond_a_rim_the_distance_is_that_of_the_rim() -> None:
+    """A quadric at the rim would go on, and from far away the foot on it would be too near."""
+    generator = np.random.default_rng(3)
+    plate = np.append(generator.uniform(-1, 1, (4_000, 2)), np.zeros((4_000, 1)), axis=1)
+    field = reconstruct(PointCloud(plate), SMALL).field
+    away = np.array([[3.0, 0.2, 0.0], [-2.5, 0.0, 0.0], [0.1, 2.8, 0.0], [2.0, 0.0, 1.0]])
+    exact = np.linalg.norm(away - np.clip(away, -1, 1) * [1, 1, 0], axis=1)
+    spacing = 2 / np.sqrt(4_000)
+    np.testing.assert_allclose(field.query(away).distance, exact, atol=0.6 * spacing)
 
 
 def test_on_the_surface_the_gradient_is_zero(sphere_field: UnsignedDistanceField) -> None:
