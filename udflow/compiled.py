@@ -10,10 +10,12 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import Any, TypeVar
+from operator import itemgetter
+from typing import Any, TypeVar, cast
 
 import numba
 import torch
+from numba.core.dispatcher import Dispatcher
 
 Array = Any  # a NumPy array inside a compiled loop
 F = TypeVar("F", bound=Callable[..., Any])
@@ -28,10 +30,32 @@ def compiled(function: F) -> F:
     in the user's cache folder; where neither can be written it is compiled in every process.
     """
     try:
-        result: F = numba.njit(function, nogil=True, error_model="numpy", cache=True)
+        result = numba.njit(function, nogil=True, error_model="numpy", cache=True)
     except RuntimeError:  # no place for a cache
-        result = numba.njit(function, nogil=True, error_model="numpy")
-    return result
+        return cast(F, numba.njit(function, nogil=True, error_model="numpy"))
+    # Numba compiles anew when the file of a function changes. But its code holds what the file
+    # imports as well, and of that numba knows nothing.
+    kept = result._cache._cache_file
+    kept._source_stamp = _STAMPS[result] = (kept._source_stamp, _imported(function.__globals__))
+    return cast(F, result)
+
+
+_STAMPS: dict[object, object] = {}  # of each compiled function
+
+
+def _imported(names: dict[str, Any]) -> tuple[object, ...]:
+    """The constants and compiled functions among the names of a file, these by their stamps."""
+    constants = [
+        (name, value)
+        for name, value in names.items()
+        if isinstance(value, bool | int | float | tuple) and not name.startswith("__")
+    ]
+    functions = [
+        (name, _STAMPS[value])
+        for name, value in names.items()
+        if isinstance(value, Dispatcher) and value in _STAMPS
+    ]
+    return (*sorted(constants), *sorted(functions, key=itemgetter(0)))
 
 
 def over_rows(

@@ -107,3 +107,43 @@ def test_without_a_place_for_its_code_it_compiles_anew(tmp_path: Path) -> None:
     command = [sys.executable, str(folder / "double.py")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("42.0\n", "")
+
+
+def test_what_another_file_says_is_compiled_anew_when_it_changes(tmp_path: Path) -> None:
+    """Constants and functions that a loop imports are in its code, which is kept on disk."""
+    (tmp_path / "inner.py").write_text(INNER)
+    (tmp_path / "outer.py").write_text(OUTER)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+
+    def answer() -> str:
+        command = [sys.executable, "-B", "-c", "from outer import outer; print(outer(1.0))"]
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    assert answer() == "5.0"
+    (tmp_path / "inner.py").write_text(INNER.replace("LENGTH = 3.0", "LENGTH = 30.0"))
+    assert answer() == "32.0"
+    (tmp_path / "inner.py").write_text(INNER.replace("2.0 * x", "4.0 * x"))
+    assert answer() == "7.0"
+
+
+INNER = """
+from udflow.compiled import compiled
+
+LENGTH = 3.0
+
+
+@compiled
+def doubled(x):
+    return 2.0 * x
+"""
+OUTER = """
+from inner import LENGTH, doubled
+from udflow.compiled import compiled
+
+
+@compiled
+def outer(x):
+    return doubled(x) + LENGTH
+"""

@@ -334,9 +334,17 @@ def test_too_few_points_are_refused_before_anything_is_done() -> None:
 
 
 def test_a_line_has_no_surface() -> None:
-    line = np.linspace(0, 1, 300)[:, None] * np.array([[1.0, 0, 0]])
-    with pytest.raises(EmptySurface, match="no surface near the 300 points at resolution 32"):
+    line = np.linspace(0, 1, 300)[:, None] * np.array([[1.0, 2.0, -3.0]]) + 4e5
+    with pytest.raises(InvalidCloud, match="all points lie on one straight line"):
         reconstruct(PointCloud(line), PLAIN)
+
+
+def test_a_circle_has_none_either() -> None:
+    angle = np.linspace(0, 2 * np.pi, 300)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros(300)], axis=1)
+    coarse = replace(PLAIN, extract=replace(PLAIN.extract, resolution=16))
+    with pytest.raises(EmptySurface, match="no surface near the 300 points at resolution 16"):
+        reconstruct(PointCloud(circle), coarse)
 
 
 def test_specks_far_smaller_than_their_distance_keep_distances_right() -> None:

@@ -15,7 +15,8 @@ from torch import Tensor
 from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics, heights_over, normals_at
 
 TURNED = 0.9  # cosine of normals below which two quadrics are different pieces
-DISSENT = 0.65  # spacings by which feet that are blended may differ
+DISSENT = 0.4  # spacings by which feet that are blended may differ
+NEARER = 0.25  # spacings by which the foot on another sheet must be nearer than that on the first
 OFF = 0.02  # spacings from a quadric within which a point is on it
 SAME_PIECE = 0.2  # spacings from a quadric within which a site shows that its piece goes on there
 ROUNDS = 4
@@ -64,6 +65,17 @@ class Candidates:
         weights = torch.exp(-4 * self.farness - dissent.square()) * allowed
         total = weights.sum(dim=1, keepdim=True).clamp_min(1e-12)
         return (weights[..., None] * self.feet).sum(dim=1) / total
+
+    def leading(self, reach: float) -> Tensor:
+        """(n,) int64, the candidate whose foot leads: the first, but where sheets lie close the
+        nearest site may be on the farther one, and then the nearest foot within so many spacings
+        of its own site."""
+        spacing = self.spacing[:, None]
+        way = (self.feet - self.points[:, None]).norm(dim=2)
+        along = (self.feet - self.origins).norm(dim=2)
+        nearer = (way < way[:, :1] - NEARER * spacing) & (along < reach * spacing)
+        shortest = torch.where(nearer, way, torch.inf).argmin(dim=1)
+        return torch.where(nearer.any(dim=1), shortest, 0)
 
     def nearest_among(self, allowed: Tensor) -> Tensor:
         """(n, 3) the nearest of the (n, c) allowed feet; the nearest site where none is."""

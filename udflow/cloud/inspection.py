@@ -14,6 +14,7 @@ from udflow.cloud.shift import suggested_shift
 from udflow.errors import InvalidCloud
 
 MIN_UNIQUE_POINTS = 100
+_NARROWEST = 1e-6  # extents that points are off one line, at least, to be more than a line
 _LARGEST, _SMALLEST_EXTENT = 1e30, 1e-30
 _SPACING_SAMPLE = 20_000
 _NOISE_SAMPLE = 4_000
@@ -96,7 +97,7 @@ def require_reconstructable(cloud: PointCloud) -> None:
 
     Raises:
         InvalidCloud: coordinates that are not finite or beyond 1e30, all points equal, an extent
-            below 1e-30, or fewer than 100 distinct points.
+            below 1e-30, fewer than 100 distinct points, or all of them on one straight line.
     """
     points = cloud.points
     if len(points) == 0:
@@ -122,6 +123,18 @@ def require_reconstructable(cloud: PointCloud) -> None:
             f"the cloud has {count} distinct points; a surface needs at least "
             f"{MIN_UNIQUE_POINTS}. Scan more densely"
         )
+    if _breadth((points - low) / extent) < _NARROWEST:
+        raise InvalidCloud(
+            "all points lie on one straight line, which has no surface. Are the right columns "
+            "read as x, y and z?"
+        )
+
+
+def _breadth(points: NDArray[np.float64]) -> float:
+    """Root mean square distance of points (n, 3) from the line through them that is nearest."""
+    offset = points - points.mean(axis=0)
+    spread = np.linalg.eigvalsh(offset.T @ offset / len(points))
+    return float(np.sqrt(max(spread[0] + spread[1], 0.0)))
 
 
 def _nearest_distances(tree: cKDTree) -> NDArray[np.float64]:

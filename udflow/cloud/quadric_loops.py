@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from udflow.cloud.crease_loops import blended, compare, foot_at_crease, is_creased
-from udflow.cloud.quadric_geometry import foot_on, minus, norm, row_of
+from udflow.cloud.creases import NEARER
+from udflow.cloud.quadric_geometry import Vector, foot_on, minus, norm, row_of
 from udflow.compiled import Array, compiled
 
 
@@ -45,17 +46,32 @@ def project_rows(
         for j in range(count):
             far = (float(distance[row, j]) ** 2 - first) / max(last, 1e-18)
             share[j] = math.exp(-4 * far)
+        site = row_of(origin, near[0])
         if is_creased(near, distance[row, 0], length, frame):
             compare(near, feet, length, origin, frame, coefficients, radius,
                     of_foot, of_site, turned, beyond)  # fmt: skip
             foot = foot_at_crease(near, point, feet, share, length, origin, frame, coefficients,
                                   radius, of_foot, turned, beyond)  # fmt: skip
         else:
-            foot = blended(feet, row_of(feet, 0), share, length)
-        site = row_of(origin, near[0])
+            lead = _leading(near, point, feet, near_reach * length, NEARER * length, origin)
+            site = row_of(origin, near[lead])
+            foot = blended(feet, row_of(feet, lead), share, length)
         offset = minus(foot, site)
         nearness = min(1.0, until * length / max(float(distance[row, 0]), 1e-18))
         reach = far_reach + (near_reach - far_reach) * nearness * nearness
         shrink = min(1.0, reach * length / max(norm(offset), 1e-18))
         for i in range(3):
             result[row, i] = site[i] + shrink * offset[i]
+
+
+@compiled
+def _leading(
+    near: Array, point: Vector, feet: Array, reach: float, nearer: float, origin: Array
+) -> int:
+    """As `Candidates.leading`."""
+    lead, least = 0, norm(minus(row_of(feet, 0), point)) - nearer
+    for j in range(1, len(near)):
+        way = norm(minus(row_of(feet, j), point))
+        if way < least and norm(minus(row_of(feet, j), row_of(origin, near[j]))) < reach:
+            lead, least = j, way
+    return lead

@@ -13,7 +13,7 @@ from udflow.cloud.quadric_loops import project_rows
 from udflow.cloud.quadrics import LocalQuadrics, feet_on_quadrics
 from udflow.compiled import over_rows
 
-_BLEND = 6  # quadrics that share in a foot
+_BLEND = 8  # quadrics that share in a foot
 UNWIDENED = 16  # neighbours up to which a quadric was not widened against noise
 _REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
 # Far away the nearest site lies beside the foot, but where the surface ends: there a foot farther
@@ -89,14 +89,17 @@ class QuadricSurface:
             spacing=quadrics.spacing.view(-1, count)[:, 0],
             farness=(near.distance.square() - first.square()) / last.square().clamp_min(1e-18),
         )
-        foot = candidates.blended(candidates.feet[:, 0], torch.ones_like(near.distance))
+        row = torch.arange(len(points), device=points.device)
+        lead = candidates.leading(_REACH)
+        foot = candidates.blended(candidates.feet[row, lead], torch.ones_like(near.distance))
+        site, spacing = candidates.origins[row, lead], candidates.spacing
         creased = candidates.creased()
         if len(creased) > 0:
             foot[creased] = feet_at_creases(self.quadrics, candidates[creased])
-        nearest, spacing = candidates.origins[:, 0], candidates.spacing
+            site[creased] = candidates.origins[creased, 0]
         nearness = (_FROM * spacing / first[:, 0].clamp_min(1e-18)).clamp_max(1.0)
         reach = _FAR_REACH + (_REACH - _FAR_REACH) * nearness.square()
-        return nearest + _limited(foot - nearest, reach * spacing)
+        return site + _limited(foot - site, reach * spacing)
 
 
 def _limited(offset: Tensor, limit: Tensor) -> Tensor:

@@ -51,6 +51,18 @@ def test_another_sheet_does_not_pull() -> None:
     assert float(shape.distance(feet).mean()) < 5e-4
 
 
+def test_where_a_sheet_has_few_samples_the_other_does_not_answer_for_it() -> None:
+    """Most of the nearest samples are on the farther sheet: over a bare spot two spacings
+    wide, of two sheets one and a quarter apart."""
+    samples = TwoSheets(gap=0.035).sample(2500)
+    bare = (samples[:, 2] > 0) & (samples[:, :2].norm(dim=1) < 0.03)
+    surface = SampledSurface.of(samples[~bare])
+    angle = torch.linspace(0, 2 * math.pi, 50)
+    under = torch.stack([0.01 * angle.cos(), 0.01 * angle.sin(), torch.full((50,), 0.01)], dim=1)
+    feet = surface.project(under)
+    assert float((feet[:, 2] - 0.0175).abs().max()) < 0.004
+
+
 def test_quadrics_end_where_their_data_end() -> None:
     """Beyond the rim of a hemisphere the feet stay within a few spacings of it, however far the
     queries are."""
