@@ -8,7 +8,7 @@ import numpy as np
 
 from udflow.cloud.crease_loops import blended, compare, foot_at_crease, is_creased
 from udflow.cloud.creases import NEARER
-from udflow.cloud.quadric_geometry import Vector, foot_on, minus, norm, row_of
+from udflow.cloud.quadric_geometry import Vector, dot, foot_on, minus, norm, row_of
 from udflow.compiled import Array, compiled
 
 
@@ -57,8 +57,13 @@ def project_rows(
             site = row_of(origin, near[lead])
             foot = blended(feet, row_of(feet, lead), share, length)
         offset = minus(foot, site)
-        nearness = min(1.0, until * length / max(float(distance[row, 0]), 1e-18))
-        reach = far_reach + (near_reach - far_reach) * nearness * nearness
+        reach = near_reach
+        if (
+            distance[row, 0] > until * length
+            and _overshoot(foot, near, origin) > far_reach * length
+        ):
+            nearness = until * length / float(distance[row, 0])
+            reach = far_reach + (near_reach - far_reach) * nearness * nearness
         shrink = min(1.0, reach * length / max(norm(offset), 1e-18))
         for i in range(3):
             result[row, i] = site[i] + shrink * offset[i]
@@ -75,3 +80,17 @@ def _leading(
         if way < least and norm(minus(row_of(feet, j), row_of(origin, near[j]))) < reach:
             lead, least = j, way
     return lead
+
+
+@compiled
+def _overshoot(foot: Vector, near: Array, origin: Array) -> float:
+    """As `quadric_surface._overshoot`."""
+    x = y = z = 0.0
+    for j in range(len(near)):
+        offset = minus(row_of(origin, near[j]), foot)
+        x, y, z = x + offset[0], y + offset[1], z + offset[2]
+    inwards, least = (x, y, z), np.inf
+    length = max(norm(inwards), 1e-18)
+    for j in range(len(near)):
+        least = min(least, dot(minus(row_of(origin, near[j]), foot), inwards) / length)
+    return least

@@ -16,7 +16,7 @@ from udflow.compiled import over_rows
 _BLEND = 8  # quadrics that share in a foot
 UNWIDENED = 16  # neighbours up to which a quadric was not widened against noise
 _REACH = 1.7  # spacings from its site, along the surface, up to which a quadric is trusted
-# Far away the nearest site lies beside the foot, but where the surface ends: there a foot farther
+# Far away the foot lies among the nearest sites, but where the surface ends: there a foot farther
 # out would be one beyond a rim or a crease.
 _FAR_REACH = 0.3
 _FROM = 3.0  # spacings from its site up to which a query is near it
@@ -99,7 +99,17 @@ class QuadricSurface:
             site[creased] = candidates.origins[creased, 0]
         nearness = (_FROM * spacing / first[:, 0].clamp_min(1e-18)).clamp_max(1.0)
         reach = _FAR_REACH + (_REACH - _FAR_REACH) * nearness.square()
+        inside = _overshoot(foot, candidates.origins) <= _FAR_REACH * spacing
+        reach = torch.where(inside, _REACH, reach)
         return site + _limited(foot - site, reach * spacing)
+
+
+def _overshoot(feet: Tensor, sites: Tensor) -> Tensor:
+    """(n,) how far feet (n, 3) lie beyond all of the sites (n, c, 3), along the direction to the
+    centroid of these; negative where they lie among them."""
+    offset = sites - feet[:, None]
+    inwards = torch.nn.functional.normalize(offset.sum(dim=1), dim=1)
+    return (offset * inwards[:, None]).sum(dim=2).amin(dim=1)
 
 
 def _limited(offset: Tensor, limit: Tensor) -> Tensor:
