@@ -9,17 +9,19 @@ sharp features, Fleishman, Cohen-Or and Silva 2005).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from udflow.cloud.consensus import on_shared_planes
 from udflow.cloud.fits import chosen_by_tensors
+from udflow.cloud.neighbourhoods import Neighbourhoods
 from udflow.cloud.neighbours import Neighbours
 from udflow.cloud.piece_loops import piece_rows
-from udflow.cloud.quadrics import LocalQuadrics, copied, heights_over, put
+from udflow.cloud.quadrics import LocalQuadrics, copied, put
 from udflow.cloud.sites import NEAR, Sites
+from udflow.cloud.strips import on_strips
 from udflow.compiled import over_rows
 
 _ROUNDS = 3
@@ -37,7 +39,7 @@ _FINE = 0.03  # spacings within which it always is
 
 def on_one_piece(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
     """Quadrics (n) with those fitted again that run through more than one piece of surface: to a
-    plane that samples share, and to what a neighbour explains.
+    plane that samples share, to what a neighbour explains, and on strips to what little there is.
 
     Errors are lowered to the noise: the lower quartile of held-back errors does not see the
     creases, which are few.
@@ -56,8 +58,8 @@ def on_one_piece(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
     for _ in range(_ROUNDS):
         quadrics, doubtful = by(quadrics, sites, tolerance, doubtful)
         if len(doubtful) == 0:
-            break
-    return quadrics
+            return quadrics
+    return on_strips(quadrics, sites, tolerance, doubtful)
 
 
 def by_loop(
@@ -93,63 +95,30 @@ def by_tensors(
 ) -> tuple[LocalQuadrics, Tensor]:
     """The same on any device."""
     doubtful = rows[_in_doubt(quadrics, sites, tolerance, rows)]
-    around = _Around.of(sites, doubtful, tolerance)
-    index = sites.around(_HYPOTHESES)[doubtful, :_HYPOTHESES]
-    return _refitted(quadrics, around, index), doubtful
+    return _refitted(quadrics, sites, tolerance, doubtful), doubtful
 
 
 def _in_doubt(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor) -> Tensor:
     """Which of some quadrics miss their own sample or too many of the nearest."""
-    near = Neighbours(sites.near.distance[rows, :_CLOSE], sites.near.index[rows, :_CLOSE])
-    off, limit = heights_over(quadrics[rows], sites.samples[near.index]).abs(), tolerance[rows]
-    weights = _weights(near)
-    on = ((off < limit[:, None]) * weights).sum(dim=1) / weights.sum(dim=1)
-    return (on < _WHOLE) | (off[:, 0] > limit)
+    around = Neighbourhoods.of(sites, rows, tolerance, _CLOSE)
+    piece = around.explained(quadrics[rows])[1]
+    on = (piece * around.weights).sum(dim=1) / around.weights.sum(dim=1)
+    return (on < _WHOLE) | ~piece[:, 0]
 
 
-def _weights(near: Neighbours) -> Tensor:
-    return torch.exp(-(near.distance / near.distance[:, -1:].clamp_min(1e-12)).square())
-
-
-@dataclass(frozen=True)
-class _Around:
-    """The samples around doubtful sites."""
-
-    doubtful: Tensor
-    samples: Tensor
-    near: Neighbours
-    points: Tensor
-    weights: Tensor
-    tolerance: Tensor
-
-    @classmethod
-    def of(cls, sites: Sites, doubtful: Tensor, tolerance: Tensor) -> _Around:
-        distance, index = sites.near.distance, sites.near.index
-        near = Neighbours(distance[doubtful, :_POOL], index[doubtful, :_POOL])
-        points = sites.samples[near.index]
-        return cls(doubtful, sites.samples, near, points, _weights(near), tolerance[doubtful])
-
-    def explained(self, quadrics: LocalQuadrics) -> tuple[Tensor, Tensor]:
-        """How much of each neighbourhood a quadric explains (d,), and which samples (d, k)."""
-        off = heights_over(quadrics, self.points).abs() / self.tolerance[:, None]
-        score = ((1 - off.square()).clamp_min(0) * self.weights).sum(dim=1)
-        return torch.where(off[:, 0] < 1, score, 0.0), off < 1
-
-
-def _refitted(quadrics: LocalQuadrics, around: _Around, hypotheses: Tensor) -> LocalQuadrics:
-    """The quadrics with the doubtful ones that a hypothesis (d, h) explains better replaced."""
-    best = around.explained(quadrics[around.doubtful])[0]
-    least = _GAIN * best
-    chosen = around.doubtful
-    for candidate in hypotheses.unbind(dim=1):
-        score = around.explained(quadrics[candidate])[0]
-        chosen = torch.where(score > best, candidate, chosen)
-        best = torch.maximum(best, score)
+def _refitted(
+    quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, doubtful: Tensor
+) -> LocalQuadrics:
+    """The quadrics with the doubtful ones that a neighbour's explains better fitted again."""
+    around = Neighbourhoods.of(sites, doubtful, tolerance, _POOL)
+    own = around.explained(quadrics[doubtful])[0]
+    others = sites.around(_HYPOTHESES)[doubtful, :_HYPOTHESES]
+    chosen, best = around.best(quadrics, doubtful, others)
     piece = around.explained(quadrics[chosen])[1]
-    better = (best > least) & (best > 0) & (piece.sum(dim=1) >= _FEWEST)
-    which = around.doubtful[better]
+    better = (best > _GAIN * own) & (best > 0) & (piece.sum(dim=1) >= _FEWEST)
+    which = doubtful[better]
     near = Neighbours(around.near.distance[better], around.near.index[better])
-    fitted = chosen_by_tensors(around.samples, near, quadrics.origin[which], piece[better])
+    fitted = chosen_by_tensors(sites.samples, near, quadrics.origin[which], piece[better])
     fitted = replace(fitted, error=quadrics.error[which], spacing=quadrics.spacing[which])
     result = copied(quadrics)
     put(result, which, fitted)

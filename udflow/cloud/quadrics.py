@@ -8,7 +8,7 @@ the curvature bias of tangent planes. Normals are unsigned and of no consequence
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -67,6 +67,17 @@ def put(target: LocalQuadrics, which: Tensor, values: LocalQuadrics) -> None:
     """Replaces some of the quadrics, in place."""
     for f in fields(LocalQuadrics):
         getattr(target, f.name)[which] = getattr(values, f.name)
+
+
+def moved(quadrics: LocalQuadrics, origin: Tensor) -> LocalQuadrics:
+    """The same n surfaces, described from other origins (n, 3)."""
+    offset = (origin - quadrics.origin) / quadrics.radius[:, None]
+    u, v, w = torch.einsum("nj,nij->ni", offset, quadrics.frame).unbind(dim=1)
+    _, c1, c2, c3, c4, c5 = quadrics.coefficients.unbind(dim=1)
+    height = (quadrics.coefficients * monomials(u, v)).sum(dim=1) - w
+    slope_u, slope_v = c1 + 2 * c3 * u + c4 * v, c2 + c4 * u + 2 * c5 * v
+    coefficients = torch.stack([height, slope_u, slope_v, c3, c4, c5], dim=1)
+    return replace(quadrics, origin=origin, coefficients=coefficients)
 
 
 def principal_frame(offsets: Tensor, weights: Tensor) -> Tensor:

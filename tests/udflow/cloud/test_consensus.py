@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from udflow.cloud import consensus
-from udflow.cloud.consensus import on_shared_planes
+from udflow.cloud.consensus import SHEETS, on_shared_planes
 from udflow.cloud.neighbours import NeighbourTree
 from udflow.cloud.quadrics import LocalQuadrics, heights_over, normals_at
 from udflow.cloud.sampled_surface import SampledSurface
@@ -94,14 +94,14 @@ def test_loops_find_what_the_tensor_code_finds(sigma: float) -> None:
     samples = plate(SPACING, sigma * SPACING)
     where = around(samples)
     quadrics = fit_quadrics(where)
-    tolerance = 0.05 * quadrics.spacing
-    one = consensus.by_loop(quadrics, where, tolerance)
-    two = consensus.by_tensors(quadrics, where, tolerance)
-    for mine, other in zip(one[:2], two[:2], strict=True):
-        assert float((mine != other).float().mean()) < 0.003
-    both = one[0] & two[0]
-    assert float((one[2][both] != two[2][both]).float().mean()) < 0.003
-    assert float(((one[3] - two[3])[both].abs() / tolerance[both]).quantile(0.99)) < 1e-3
+    tolerance = SHEETS.tolerance * quadrics.spacing
+    one = consensus.by_loop(quadrics, samples, where.near, SHEETS)
+    two = consensus.by_tensors(quadrics, samples, where.near, SHEETS)
+    assert float((one.agreed != two.agreed).float().mean()) < 0.003
+    assert float((one.better != two.better).float().mean()) < 0.003
+    both = one.agreed & two.agreed
+    assert float((one.piece[both] != two.piece[both]).float().mean()) < 0.003
+    assert float(((one.error - two.error)[both].abs() / tolerance[both]).quantile(0.99)) < 1e-3
     assert float(both.float().mean()) > (0.2 if sigma == 0 else 0.0)
 
 

@@ -1,0 +1,85 @@
+"""Quadrics on strips: pieces of surface with fewer samples than a quadric of their own needs.
+
+The rim of a thin wall, a chamfer, a narrow rib: they are broader than nothing and narrower than the
+distance between samples, and what is fitted to the neighbourhood there lies aslant between two
+faces or misses its own site. Such quadrics explain next to none of the samples around, and two
+others are tried in their place:
+
+* a plane that a few samples of a wide neighbourhood share to within less than a thousandth of a
+  spacing. By chance hardly ever five do so; samples of a flat strip do, if they carry no noise;
+* the quadric of a neighbour that runs through the site, as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from udflow.cloud.consensus import Asked, fitted_to, shared_planes
+from udflow.cloud.neighbourhoods import Neighbourhoods
+from udflow.cloud.quadrics import LocalQuadrics, copied, moved, put
+from udflow.cloud.sites import NEAR, Sites
+
+_FEW = 9  # samples around: a quadric that explains fewer is none
+_EXACT = Asked(pool=96, corners=20, angle=0.05, tolerance=5e-4, share=0.0, broad=1e-4, fewest=5,
+               most=16, gain=1.0)  # fmt: skip
+_HYPOTHESES = 16  # sites around whose quadrics are tried
+_ROUNDS = 2  # so that a strip's first good quadric serves its next sites
+_GAIN = 1.2  # times more a neighbour's must explain than the quadric there was
+_FEWEST = 4  # samples, the site with them, that it must run through
+
+
+def on_strips(
+    quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor
+) -> LocalQuadrics:
+    """Quadrics (n) with those replaced that explain next to nothing, where something else does.
+
+    Args:
+        quadrics: one at each site.
+        sites: the same.
+        tolerance: (n,) distance from a quadric up to which a sample is explained by it.
+        rows: which of them to look at.
+    """
+    lost = rows[_explains_nothing(quadrics, sites, tolerance, rows)]
+    if len(lost) == 0:
+        return quadrics
+    result = copied(quadrics)
+    lost = _on_exact_planes(result, sites, lost)
+    for _ in range(_ROUNDS):
+        lost = _taken_over(result, sites, tolerance, lost)
+    return result
+
+
+def _explains_nothing(
+    quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor
+) -> Tensor:
+    around = Neighbourhoods.of(sites, rows, tolerance, NEAR)
+    score, piece = around.explained(quadrics[rows])
+    return (score <= 0) | (piece.sum(dim=1) < _FEW)
+
+
+def _on_exact_planes(quadrics: LocalQuadrics, sites: Sites, lost: Tensor) -> Tensor:
+    """Puts quadrics on planes that samples share exactly, in place; which are still lost."""
+    near = sites.tree.nearest(sites.origin[lost], _EXACT.pool)
+    own = quadrics[lost]
+    shared = shared_planes(own, sites.samples, near, _EXACT)
+    which = shared.better.nonzero().squeeze(1)
+    if len(which) > 0:
+        put(quadrics, lost[which], fitted_to(shared, own, sites.samples, near, which))
+    return lost[~shared.better]
+
+
+def _taken_over(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, lost: Tensor) -> Tensor:
+    """Puts neighbours' quadrics in the place of lost ones, in place; which are still lost."""
+    around = Neighbourhoods.of(sites, lost, tolerance, NEAR)
+    own = around.explained(quadrics[lost])[0]
+    others = sites.around(_HYPOTHESES)[lost, :_HYPOTHESES]
+    chosen, most = around.best(quadrics, lost, others)
+    enough = around.explained(quadrics[chosen])[1].sum(dim=1) >= _FEWEST
+    better = enough & (most > _GAIN * own)
+    which = lost[better]
+    taken = moved(quadrics[chosen[better]], quadrics.origin[which])
+    put(quadrics, which, replace(taken, error=quadrics.error[which],
+                                 spacing=quadrics.spacing[which]))  # fmt: skip
+    return lost[~better]
