@@ -5,15 +5,16 @@ distance between samples, and what is fitted to the neighbourhood there lies asl
 faces or misses its own site. Such quadrics explain next to none of the samples around, and two
 others are tried in their place:
 
-* a plane that a few samples of a wide neighbourhood share to within less than a thousandth of a
+* a plane that a few samples of a wide neighbourhood share to within a few ten-thousandths of a
   spacing. By chance hardly ever five do so; samples of a flat strip do, if they carry no noise;
-* the quadric of a neighbour that runs through the site, as it is.
+* the quadric of a neighbour that is not such a one and runs through the site, as it is.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from udflow.cloud.consensus import Asked, fitted_to, shared_planes
@@ -22,7 +23,7 @@ from udflow.cloud.quadrics import LocalQuadrics, copied, moved, put
 from udflow.cloud.sites import NEAR, Sites
 
 _FEW = 9  # samples around: a quadric that explains fewer is none
-_EXACT = Asked(pool=96, corners=20, angle=0.05, tolerance=5e-4, share=0.0, broad=1e-4, fewest=5,
+_EXACT = Asked(pool=96, corners=20, angle=0.05, tolerance=2e-4, share=0.0, broad=1e-4, fewest=5,
                most=16, gain=1.0)  # fmt: skip
 _HYPOTHESES = 16  # sites around whose quadrics are tried
 _ROUNDS = 2  # so that a strip's first good quadric serves its next sites
@@ -71,10 +72,14 @@ def _on_exact_planes(quadrics: LocalQuadrics, sites: Sites, lost: Tensor) -> Ten
 
 
 def _taken_over(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, lost: Tensor) -> Tensor:
-    """Puts neighbours' quadrics in the place of lost ones, in place; which are still lost."""
+    """Puts neighbours' quadrics that are not lost themselves in the place of lost ones, in place;
+    which are still lost."""
     around = Neighbourhoods.of(sites, lost, tolerance, NEAR)
     own = around.explained(quadrics[lost])[0]
+    known = torch.ones(len(tolerance), dtype=torch.bool, device=tolerance.device)
+    known[lost] = False
     others = sites.around(_HYPOTHESES)[lost, :_HYPOTHESES]
+    others = torch.where(known[others], others, lost[:, None])
     chosen, most = around.best(quadrics, lost, others)
     enough = around.explained(quadrics[chosen])[1].sum(dim=1) >= _FEWEST
     better = enough & (most > _GAIN * own)

@@ -17,6 +17,7 @@ from udflow.mesh.coincident import without_coincident
 from udflow.mesh.crossings import find_crossings
 from udflow.mesh.draft import Draft
 from udflow.mesh.dual import DualSurface, dual_surface, triangles
+from udflow.mesh.folds import unfolded
 from udflow.mesh.handles import without_small_handles
 from udflow.mesh.holes import closed
 from udflow.mesh.lattice import Lattice
@@ -73,7 +74,7 @@ def _by_edges(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh
         draft = _finished(field, draft, samples, lattice.step)
     mesh = Mesh(draft.vertices, draft.faces)
     mesh = settled(mesh, field, lattice.step, samples.device)
-    return without_coincident(mesh, lattice.step)
+    return without_coincident(unfolded(mesh), lattice.step)
 
 
 def _by_cells(field: ProjectiveField, samples: Tensor, lattice: Lattice) -> Mesh:

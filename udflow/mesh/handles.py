@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from udflow.mesh.draft import Draft
-from udflow.mesh.topology import edges_of, face_normals, parts, side_pairs, with_any
+from udflow.mesh.folds import at_folds
+from udflow.mesh.topology import edges_of, parts, side_pairs, with_any
 
-FOLD = -0.2  # cosine between the normals of neighbouring faces below which they are folded
 RINGS = 2  # of vertices around a fold that belong to its patch
 LONGEST = 48  # edges of the border of a patch that may be cut out
 
@@ -26,7 +26,7 @@ def without_small_handles(draft: Draft) -> Draft:
         draft: oriented triangles.
     """
     edges = edges_of(draft.faces)
-    folded = _folded_vertices(draft, edges.sides_where(2))
+    folded = at_folds(draft.vertices, draft.faces, edges.sides_where(2))
     if not folded.any():
         return draft
     patch = np.flatnonzero(with_any(draft.faces, _grown(folded, edges.ends)))
@@ -38,18 +38,6 @@ def without_small_handles(draft: Draft) -> Draft:
     loose = draft.loose.copy()
     loose[draft.faces[cut]] = True
     return Draft(draft.vertices, draft.faces[kept], loose).compacted()
-
-
-def _folded_vertices(draft: Draft, sides: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(v,) ends of edges at which two faces are folded onto each other."""
-    normals = face_normals(draft.vertices, draft.faces)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    one, two = normals[sides // 3].transpose(1, 0, 2)
-    fold = sides[np.einsum("ei,ei->e", one, two) < FOLD, 0]
-    result = np.zeros(len(draft.vertices), dtype=bool)
-    result[draft.faces.reshape(-1)[fold]] = True
-    result[draft.faces.reshape(-1)[fold - fold % 3 + (fold + 1) % 3]] = True
-    return result
 
 
 def _grown(chosen: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from udflow.mesh.draft import Draft, Project
-from udflow.mesh.topology import side_pairs, with_any
+from udflow.mesh.topology import means_of_others, side_pairs, with_any
 
 MOST_PASSES = 24
 _RINGS = 2  # rings of vertices beside the rim that follow it
@@ -35,7 +35,8 @@ def faired(draft: Draft, width: float, voxel: float, project: Project) -> Draft:
     pairs, moving = _springs(draft, rim)
     vertices = draft.vertices.copy()
     for step in range(2 * passes):
-        vertices[moving] += (_SWELL if step % 2 else _SHRINK) * _pull(vertices, pairs, moving)
+        pull = means_of_others(vertices, pairs, moving) - vertices[moving]
+        vertices[moving] += (_SWELL if step % 2 else _SHRINK) * pull
     vertices[moving] = project(vertices[moving])
     return replace(draft, vertices=vertices)
 
@@ -58,15 +59,3 @@ def _springs(draft: Draft, rim: NDArray[np.int64]) -> tuple[NDArray[np.int64], N
     plain = np.bincount(along[:, 0], minlength=len(level)) == 2
     pairs = np.concatenate([along[plain[along[:, 0]]], beside])
     return pairs, np.unique(pairs[:, 0])
-
-
-def _pull(
-    vertices: NDArray[np.float64], pairs: NDArray[np.int64], moving: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """(n, 3) way from each moving vertex to the mean of those that pull it."""
-    slot = np.searchsorted(moving, pairs[:, 0])
-    pulling = vertices[pairs[:, 1]]
-    degree = np.bincount(slot, minlength=len(moving))
-    mean = np.stack([np.bincount(slot, pulling[:, i]) / degree for i in range(3)], axis=1)
-    way: NDArray[np.float64] = mean - vertices[moving]
-    return way

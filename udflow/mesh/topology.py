@@ -85,6 +85,17 @@ def side_pairs(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
+def means_of_others(
+    vertices: NDArray[np.float64], pairs: NDArray[np.int64], chosen: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(n, 3) for each of the chosen vertices, in ascending order, the mean of those it is paired
+    with; `pairs` (p, 2) are of chosen vertices and others."""
+    slot = np.searchsorted(chosen, pairs[:, 0])
+    others = vertices[pairs[:, 1]]
+    degree = np.bincount(slot, minlength=len(chosen))
+    return np.stack([np.bincount(slot, others[:, i]) / degree for i in range(3)], axis=1)
+
+
 def parts(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """(count,) number of the connected part that each node is in, given (p, 2) connected pairs."""
     weight = np.ones(len(pairs), dtype=np.int8)
