@@ -7,7 +7,8 @@ others are tried in their place:
 
 * a plane that a few samples of a wide neighbourhood share to within a few ten-thousandths of a
   spacing. By chance hardly ever five do so; samples of a flat strip do, if they carry no noise;
-* the quadric of a neighbour that is not such a one and runs through the site, as it is.
+* the quadric of a neighbour that is not such a one and runs through the site, as it is, where there
+  is hardly any noise.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ _HYPOTHESES = 16  # sites around whose quadrics are tried
 _ROUNDS = 2  # so that a strip's first good quadric serves its next sites
 _GAIN = 1.2  # times more a neighbour's must explain than the quadric there was
 _FEWEST = 4  # samples, the site with them, that it must run through
+_CLEAN = 0.05  # spacings: with more tolerance against noise, to run through the site says little
+_CHUNK = 1 << 15  # quadrics judged together: bounds memory
 
 
 def on_strips(
@@ -42,22 +45,22 @@ def on_strips(
         tolerance: (n,) distance from a quadric up to which a sample is explained by it.
         rows: which of them to look at.
     """
-    lost = rows[_explains_nothing(quadrics, sites, tolerance, rows)]
+    lost = torch.cat([_lost(quadrics, sites, tolerance, part) for part in rows.split(_CHUNK)])
     if len(lost) == 0:
         return quadrics
     result = copied(quadrics)
     lost = _on_exact_planes(result, sites, lost)
+    lost = lost[tolerance[lost] < _CLEAN * quadrics.spacing[lost]]
     for _ in range(_ROUNDS):
         lost = _taken_over(result, sites, tolerance, lost)
     return result
 
 
-def _explains_nothing(
-    quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor
-) -> Tensor:
+def _lost(quadrics: LocalQuadrics, sites: Sites, tolerance: Tensor, rows: Tensor) -> Tensor:
+    """Those of some quadrics that explain next to nothing."""
     around = Neighbourhoods.of(sites, rows, tolerance, NEAR)
     score, piece = around.explained(quadrics[rows])
-    return (score <= 0) | (piece.sum(dim=1) < _FEW)
+    return rows[(score <= 0) | (piece.sum(dim=1) < _FEW)]
 
 
 def _on_exact_planes(quadrics: LocalQuadrics, sites: Sites, lost: Tensor) -> Tensor:
