@@ -32,7 +32,6 @@ _WHOLE = 0.75  # share of them on the quadric that lets it pass
 _FEWEST = 8  # samples of a piece that a quadric is fitted to
 _GAIN = 1.5  # times better a piece must be explained than by the quadric there was
 _NOISE_SITES = 48
-_QUARTILE = 3.14  # standard deviations of noise in the lower quartile of its absolute values
 _SLACK = 4.0  # standard deviations of noise within which a sample is on a quadric
 _FINE = 0.03  # spacings within which it always is
 
@@ -50,7 +49,7 @@ def on_one_piece(quadrics: LocalQuadrics, sites: Sites) -> LocalQuadrics:
     """
     quadrics, shared = on_shared_planes(quadrics, sites)
     error = torch.where(shared, quadrics.error, sites.narrow.quadrics.error)
-    noise = _QUARTILE * sites.quantile(error, 0.25, _NOISE_SITES)
+    noise = sites.noise(error, _NOISE_SITES)
     quadrics = replace(quadrics, error=torch.minimum(quadrics.error, noise))
     tolerance = torch.maximum(_SLACK * noise, _FINE * quadrics.spacing)
     doubtful = torch.arange(len(tolerance), device=tolerance.device)

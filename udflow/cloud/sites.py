@@ -14,6 +14,7 @@ from udflow.compiled import over_rows
 
 NARROW = 10  # neighbours of the first fits, by which the noise is judged
 NEAR = 40  # samples looked up for each site, at least
+_QUARTILE = 3.14  # standard deviations of noise in the lower quartile of its absolute values
 
 
 class Sites:
@@ -59,9 +60,10 @@ class Sites:
         """Means of the sites' values (n,) over the k sites around each, or around some of them."""
         return self._sum_up(values, k, rows, -1.0)
 
-    def quantile(self, values: Tensor, share: float, k: int) -> Tensor:
-        """Quantiles of the sites' values (n,) over the k sites around each."""
-        return self._sum_up(values, k, None, share)
+    def noise(self, errors: Tensor, k: int, rows: Tensor | None = None) -> Tensor:
+        """Standard deviations of the noise around each site, or around some of them: by the lower
+        quartile of the held-back errors (n,) of k sites, which does not see the creases."""
+        return _QUARTILE * self._sum_up(errors, k, rows, 0.25)
 
     def _sum_up(self, values: Tensor, k: int, rows: Tensor | None, share: float) -> Tensor:
         around = self.around(k)

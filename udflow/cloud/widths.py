@@ -5,6 +5,10 @@ judges decide. Held-back samples (leave-one-out) say which widths predict best, 
 their error is nearly all noise, and a width too narrow costs them little. There a second judge goes
 on: a wider fit is taken as long as it changes the surface by no more than the noise explains
 (the intersection of confidence intervals, Goldenshluger and Nemirovski 1997).
+
+Neither can judge where the noise is as large as the neighbourhood: its samples fill a ball, there
+is no surface to be missed, and the error is a share of the ball's radius. There wider fits are
+taken until the samples are flat, unless a wide one shows two sheets: errors of one size.
 """
 
 from __future__ import annotations
@@ -26,6 +30,11 @@ _PATIENCE = 1.1  # times the lowest error: up to here wider ones are tried
 _NOISY = 24  # neighbours from which held-back errors alone no longer decide
 _CHANGE = 1.15  # mean squared change, in variances that the noise explains
 _LARGEST_CHANGE = 25.0  # that one site may contribute
+_FILLED = 0.22  # of the radius: noise from which the samples fill a ball
+_FLAT = 0.17  # of the radius: noise below which they show a surface again
+_WIDE = 64  # neighbours that tell sheets from noise
+_MOST = 0.5  # of the sites around
+_SHEETS = 1.15  # times what it is for noise: the lower quartile of errors beside their mean square
 _KEPT = 1 << 15  # sites whose neighbours for all the widths are kept in memory
 
 
@@ -52,22 +61,25 @@ class _Choice:
         self._change = torch.zeros_like(self._error)
         self.lowest = self._scores()
         self._row = torch.arange(len(self._error), device=self._error.device)
+        self._filled = self._fill_balls()
         self.growing = self._worth_more(self._row)
 
     def widen(self, k: int) -> None:
         """Tries k neighbours at the sites that are still growing."""
-        growing, wider = self.growing, self._fitted(k)
+        growing = self.growing
+        wider = self._fitted(k)
+        filled = self._filled[growing] & self._thicker(_FLAT, growing)
         self._error[growing] = wider.quadrics.error
         score, lowest = self._scores(growing), self.lowest[growing]
         explained = self._explained(wider)  # at every width, for those that stop
-        tolerable = score < _PATIENCE * lowest
-        accepted = score < lowest
+        tolerable = filled | (score < _PATIENCE * lowest)
+        accepted = filled | (score < lowest)
         if k >= _NOISY:
             accepted |= tolerable & explained
         taken = growing[accepted]
         put(self.best, taken, wider.quadrics[accepted])
         self._variance[taken], self._foot[taken] = wider.variance[accepted], wider.foot[accepted]
-        self.lowest[growing] = torch.minimum(lowest, score)
+        self.lowest[growing] = torch.where(filled, score, torch.minimum(lowest, score))
         self.growing = self._worth_more(growing[tolerable])
 
     def _fitted(self, k: int) -> Fits:
@@ -79,6 +91,32 @@ class _Choice:
         if k > self._near.index.shape[1]:
             return fit_width(sites.samples, sites.tree, origin, k)
         return fit_nearest(sites.samples, origin, self._near, k, self._row[growing])
+
+    def _fill_balls(self) -> Tensor:
+        """(n,) bool, sites around which the samples fill balls as large as the narrowest fits, and
+        are not two sheets."""
+        sites, filled = self._sites, self._thicker(_FILLED, self._row)
+        rows = filled.nonzero().squeeze(1)
+        if len(rows) == 0:
+            return filled
+        errors = self._error.clone()
+        wide = fit_width(sites.samples, sites.tree, sites.origin[rows], _WIDE)
+        errors[rows] = wide.quadrics.error
+        noise = sites.noise(errors, _SCORE_NEIGHBOURS, rows)
+        scatter = sites.mean(errors.square(), _SCORE_NEIGHBOURS, rows).sqrt()
+        ball = filled.float()
+        ball[rows] = (noise < _SHEETS * scatter).float()
+        filled[rows] = sites.mean(ball, _SCORE_NEIGHBOURS, rows) > _MOST
+        return filled
+
+    def _thicker(self, share: float, rows: Tensor) -> Tensor:
+        """Whether noise is more than a share of the radii of the fits at some sites. At creases few
+        errors are large, which is no noise."""
+        limit = share * self.best.radius[rows]
+        thicker = self.lowest[rows] > limit
+        noise = self._sites.noise(self._error, _SCORE_NEIGHBOURS, rows[thicker])
+        thicker[thicker.clone()] = noise > limit[thicker]
+        return thicker
 
     def _explained(self, wider: Fits) -> Tensor:
         """Whether the noise explains by how much wider fits move the feet of growing sites."""

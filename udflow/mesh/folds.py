@@ -2,8 +2,8 @@
 
 At creases between few samples feet may lie beyond the end of a face, and the mesh there has flaps
 and spikes that fold sharply. Edges of solid things fold as well, but seldom more sharply than a
-right angle; what does is drawn to its neighbours, and is then beside the surface of the field, which
-is wrong there. A thin blade loses part of a voxel by it.
+right angle; what does is drawn to its neighbours, away from the field, which is wrong there. A thin
+blade loses part of a voxel by it.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import math
 
 import pytest
 import torch
-from shapes import PlanePatch, Sphere, Torus
+from shapes import PlanePatch, Sphere, Torus, TwoSheets
 from torch import Tensor
 
 from udflow.cloud.neighbours import NeighbourTree
@@ -84,6 +84,25 @@ def test_wide_quadrics_average_the_noise_away() -> None:
     samples = noisy(Sphere().sample(3000), sigma)
     feet = feet_on_quadrics(fitted(samples), samples)
     assert float(Sphere().distance(feet).square().mean().sqrt()) < 0.45 * sigma
+
+
+def test_noise_as_large_as_the_spacing_is_seen_and_averaged_away() -> None:
+    """Ten neighbours fill a ball then, and what they miss by is a share of its radius."""
+    spacing = math.sqrt(math.pi / 20_000)
+    samples = noisy(Sphere().sample(20_000), spacing)
+    quadrics = fitted(samples)
+    assert float(quadrics.error.median()) == pytest.approx(spacing, rel=0.25)
+    feet = feet_on_quadrics(quadrics, samples)
+    assert float(Sphere().distance(feet).square().mean().sqrt()) < 0.45 * spacing
+
+
+def test_two_sheets_are_no_noise() -> None:
+    """A gap of 1.2 spacings and a little noise: averaged, both would be one in the middle."""
+    sheets = TwoSheets(gap=1.2 * math.sqrt(2 / 6000))
+    inside = TwoSheets(gap=sheets.gap, half=0.4)
+    quadrics = fitted(noisy(sheets.sample(6000), 0.1 * sheets.gap))
+    within = inside.distance(quadrics.origin) < sheets.gap
+    assert float((quadrics.count[within] <= 24).float().mean()) > 0.9
 
 
 def test_spacing_is_that_of_the_samples() -> None:
