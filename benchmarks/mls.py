@@ -79,8 +79,8 @@ def _height(offset: Tensor, weights: Tensor, axes: Tensor) -> Tensor:
     terms = torch.stack([torch.ones_like(u), u, v, u * u, u * v, v * v], dim=2)
     weighted = weights[:, :, None] * terms
     square = weighted.transpose(1, 2) @ terms
-    size = square.diagonal(dim1=1, dim2=2).sum(dim=1)  # samples far from the others determine little
-    square += TINY * size[:, None, None] * torch.eye(6, dtype=square.dtype)
+    size = square.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    square += TINY * size * torch.eye(6, dtype=square.dtype)  # far samples determine little
     right = (weighted * height[:, :, None]).sum(dim=1)
     return torch.linalg.solve(square, right)[:, 0]
 
