@@ -13,7 +13,7 @@ from udflow.cloud.sampled_surface import SampledSurface
 from udflow.fields.lattice_loops import find_rows
 from udflow.fields.spline_loops import normal_steps
 from udflow.fit.linear_loops import products
-from udflow.mesh import neck_loops, parity_loops
+from udflow.mesh import crosscap_loops, neck_loops, parity_loops
 from udflow.mesh.filling import least_filling
 from udflow.mesh.topology import edges_of, faces_around
 from udflow.picture_loops import draw_discs, draw_triangles
@@ -41,6 +41,10 @@ def load_loops() -> None:
     surface = lengths, np.zeros((0, 3)), links, some, some, links
     neck_loops.search(0, 0, some, *surface, some, ways, some)
     neck_loops.flare(0, 0, ways, some, *surface, 0, np.zeros((0, 2)), np.zeros(0, np.bool_))
+    turns = np.zeros((0, 3), np.bool_)
+    crosscap_loops.turning_ways(
+        0, 0, some, 0.0, np.zeros((0, 3)), links, turns, ways, some, lengths
+    )
     edges_of(links), faces_around(links, 1)
     least_filling(np.zeros((3, 3)))
     places, depth, canvas = np.zeros((0, 3)), np.zeros((0, 0)), np.zeros((0, 0, 3))

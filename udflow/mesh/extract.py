@@ -14,6 +14,7 @@ from udflow.fields.interface import ProjectiveField
 from udflow.mesh.band import find_band, project_in_chunks
 from udflow.mesh.cleaning import without_dust
 from udflow.mesh.coincident import without_coincident
+from udflow.mesh.crosscaps import without_crosscaps
 from udflow.mesh.crossings import find_crossings
 from udflow.mesh.draft import Draft
 from udflow.mesh.dual import DualSurface, dual_surface, triangles
@@ -154,7 +155,8 @@ def _finished(field: ProjectiveField, draft: Draft, samples: Tensor, voxel: floa
     data = SampleSet.of(samples.double().cpu().numpy(), voxel)
     draft = trimmed(draft, data, voxel, project)
     draft = without_dust(draft, data, voxel)
-    draft = without_small_handles(separated(draft, data.spacing))
+    draft = without_crosscaps(separated(draft, data.spacing), data.spacing)
+    draft = without_small_handles(draft)
     draft = closed(draft, data, project)
     draft = without_necks(draft, data, project)
     draft = without_dust(draft, data, voxel)
