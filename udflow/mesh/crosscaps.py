@@ -20,7 +20,7 @@ from udflow.mesh.manifold import separated
 from udflow.mesh.orientation import oriented
 from udflow.mesh.topology import edges_of, side_ends
 
-LONGEST = 14.0  # spacings around a cross-cap; samples do not show a Möbius strip so small
+LONGEST = 7.0  # spacings around a cross-cap; samples do not show a Möbius strip so small
 ROUNDS = 6
 
 

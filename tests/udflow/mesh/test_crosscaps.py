@@ -79,7 +79,7 @@ def test_several_crosscaps_are_cut_out() -> None:
 
 
 def test_a_moebius_strip_that_the_samples_show_stays() -> None:
-    draft = strip(int(1.5 * LONGEST), 4)
+    draft = strip(int(4 * LONGEST), 4)
     result = without_crosscaps(draft, 1.0)
     assert one_sided(result)
     np.testing.assert_array_equal(np.sort(result.faces, axis=1), np.sort(draft.faces, axis=1))
